@@ -1,0 +1,89 @@
+"""The frame and its conventions: units, axes, signs, shutter, depth.
+
+Every array in jaxblur follows this page; files are converted to it when they are read.
+
+======== ============ =====================================================================
+name     shape        meaning
+======== ============ =====================================================================
+color    (H, W, C)    linear light, not clipped; alpha, if present, is premultiplied
+depth    (H, W)       positive distance along the view axis, scene units; ``+inf`` is sky
+velocity (H, W, 2)    **half-spread** in pixels, ``(x right, y down)``
+path     (H, W, 2, 2) optional: displacement of the point, in pixels ``(x right, y down)``, at
+                      shutter opening ``[..., 0, :]`` and at shutter closing ``[..., 1, :]``
+======== ============ =====================================================================
+
+Pixels are ``row, column``; row 0 is the top. A surface point at pixel ``p`` covers
+``p - velocity .. p + velocity`` while the shutter is open, so
+
+    half-spread = 1/2 * (displacement in pixels per frame) * (shutter in frames),
+
+and a frame at time ``t`` is the image at the center of the exposure ``[t - shutter/2,
+t + shutter/2]``. ``velocity`` and ``-velocity`` describe the same blur. With a ``path``,
+``velocity == (path[..., 1, :] - path[..., 0, :]) / 2``.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """One sharp frame: color, depth and velocity buffers, and optionally curved paths.
+
+    A pytree of arrays without a batch axis; batch with ``jax.vmap``. Units, axes and signs are
+    those of the module docstring.
+
+    Attributes:
+        color: (H, W, C) linear light.
+        depth: (H, W) positive planar depth, ``+inf`` for sky.
+        velocity: (H, W, 2) half-spread in pixels, x right, y down.
+        path: (H, W, 2, 2) displacement at shutter opening and closing in pixels, or None.
+    """
+
+    color: jax.Array
+    depth: jax.Array
+    velocity: jax.Array
+    path: jax.Array | None = None
+
+
+def check_frame(frame: Frame) -> Frame:
+    """Check shapes and return the frame as floating-point JAX arrays of one dtype.
+
+    Half-precision and integer buffers become float32; float64 buffers stay float64 where JAX
+    has 64-bit types enabled. Values are not looked at (that is done where files are read).
+
+    Args:
+        frame: buffers as NumPy or JAX arrays.
+
+    Returns:
+        The frame with every buffer in the widest of the buffers' dtypes, at least float32.
+
+    Raises:
+        ValueError: a buffer has the wrong number of axes, or sizes disagree.
+    """
+    buffers = {
+        field.name: jnp.asarray(value)
+        for field in dataclasses.fields(frame)
+        if (value := getattr(frame, field.name)) is not None
+    }
+    color = buffers["color"]
+    if color.ndim != 3:
+        raise ValueError(
+            f"`frame.color` must have shape (height, width, channels), got {color.shape}; "
+            "add a channel axis, or apply jax.vmap over a batch axis."
+        )
+    size = color.shape[:2]
+    expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2)}
+    for name, shape in expected.items():
+        if name in buffers and buffers[name].shape != shape:
+            raise ValueError(
+                f"`frame.{name}` must have shape {shape} to match `frame.color`, "
+                f"got {buffers[name].shape}."
+            )
+    if 0 in color.shape:
+        raise ValueError(f"`frame.color` must not be empty, got shape {color.shape}.")
+    dtype = jnp.result_type(jnp.float32, *(b.dtype for b in buffers.values()))
+    return Frame(**{name: buffer.astype(dtype) for name, buffer in buffers.items()})
