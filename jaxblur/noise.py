@@ -1,0 +1,111 @@
+"""Per-pixel noise that turns banding into grain: where taps fall, which tile a pixel reads.
+
+Noise is an input of every filter (departure 7 of the filter specification): pass a `Noise`, or
+let the filter build one of the kinds below. Tap noise and tile noise are independent.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .settings import NoiseKind
+
+_HALTON_BLOCK = 64
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """Noise for one frame.
+
+    Attributes:
+        tap: (H, W) in [-1, 1), shifts all taps of a pixel along their lines.
+        tile: (H, W, 2) in [-0.5, 0.5) as ``(x, y)``, jitters the lookup of the tile.
+    """
+
+    tap: jax.Array
+    tile: jax.Array
+
+
+def interleaved_gradient(
+    height: int, width: int, offset: float = 0.0
+) -> Float[Array, "{height} {width}"]:
+    """Interleaved gradient noise, ``frac(52.9829189 frac(0.06711056 x + 0.00583715 y))``.
+
+    Source: Jimenez, Next Generation Post Processing in Call of Duty, SIGGRAPH course 2014.
+
+    Args:
+        height: rows.
+        width: columns.
+        offset: pixels added to both coordinates; other offsets give decorrelated patterns.
+
+    Returns:
+        (height, width) values in [0, 1).
+    """
+    x = jnp.arange(width, dtype=jnp.float32) + offset
+    y = jnp.arange(height, dtype=jnp.float32)[:, None] + offset
+    inner = (0.06711056 * x + 0.00583715 * y) % 1.0
+    return (52.9829189 * inner) % 1.0
+
+
+def _halton_block() -> np.ndarray:
+    """The first 64 x 64 Halton points in bases 2, 3, 5, laid out row by row."""
+    from scipy.stats import qmc
+
+    points = qmc.Halton(d=3, scramble=False).random(_HALTON_BLOCK**2)
+    return points.reshape(_HALTON_BLOCK, _HALTON_BLOCK, 3).astype(np.float32)
+
+
+def _uniform(kind: NoiseKind, height: int, width: int) -> Float[Array, "{height} {width} 3"]:
+    """Three independent values in [0, 1) for every pixel."""
+    if kind == "none":
+        return jnp.full((height, width, 3), 0.5, jnp.float32)
+    if kind == "halton":
+        repeats = (-(-height // _HALTON_BLOCK), -(-width // _HALTON_BLOCK), 1)
+        return jnp.tile(_halton_block(), repeats)[:height, :width]
+    # 5.588238 is the offset between frames that Jimenez gives; multiples decorrelate as well.
+    planes = [interleaved_gradient(height, width, 5.588238 * k) for k in (0, 7, 17)]
+    return jnp.stack(planes, axis=-1)
+
+
+def make_noise(kind: NoiseKind, height: int, width: int) -> Noise:
+    """Built-in noise of one kind.
+
+    Args:
+        kind: ``ign`` (interleaved gradient noise), ``halton`` (bases 2, 3, 5 in a repeated
+            64 x 64 block) or ``none`` (all zero).
+        height: rows.
+        width: columns.
+
+    Returns:
+        The noise, float32.
+    """
+    uniform = _uniform(kind, height, width)
+    return Noise(tap=2 * uniform[..., 0] - 1, tile=uniform[..., 1:] - 0.5)
+
+
+def resolve_noise(noise: Noise | None, kind: NoiseKind, height: int, width: int) -> Noise:
+    """The noise that was passed, with its shapes checked, or the built-in kind.
+
+    Args:
+        noise: explicit noise, or None.
+        kind: the built-in kind used for None.
+        height: rows of the frame.
+        width: columns of the frame.
+
+    Returns:
+        Noise for a frame of this size.
+
+    Raises:
+        ValueError: an array of ``noise`` has the wrong shape.
+    """
+    if noise is None:
+        return make_noise(kind, height, width)
+    for name, shape in (("tap", (height, width)), ("tile", (height, width, 2))):
+        actual = jnp.shape(getattr(noise, name))
+        if actual != shape:
+            raise ValueError(f"`noise.{name}` must have shape {shape}, got {actual}.")
+    return noise

@@ -1,0 +1,203 @@
+"""Taps along a line: their positions, how they are read, and the sum over them.
+
+The sum over samples is one kernel. A sample is an elementwise function written for a trailing
+sample axis; all of its terms are summed by one variadic reduction over that minor axis, which
+XLA fuses with the reads, so that nothing of shape (H, W, N) exists in memory. Its derivative is
+that of a scan over the samples with rematerialisation: memory does not grow with N either.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float, Int
+
+from .settings import Border, Fetch
+
+Terms = tuple[jax.Array, ...]
+Sample = Callable[[jax.Array, Any], Terms]
+
+
+class Texels(NamedTuple):
+    """Where a tap reads.
+
+    Attributes:
+        index: row-major index of the nearest texel, inside the image.
+        counts: False where the tap has no weight (outside the image under ``skip``).
+        x: column of the tap, a real number, possibly outside the image.
+        y: row of the tap.
+    """
+
+    index: Int[Array, "*shape"]
+    counts: Array
+    x: Float[Array, "*shape"]
+    y: Float[Array, "*shape"]
+
+
+def tap_position(
+    sample: Int[Array, "*i"], count: int, jitter: Float[Array, "*j"]
+) -> Float[Array, "*k"]:
+    """Position of a tap on the line, ``t = -1 + 2 (i + 1 + j) / (N + 1)``, in (-1, 1).
+
+    Source: Guertin et al. 2014, Annexe I; McGuire et al. 2012, listing 1.
+
+    Args:
+        sample: i = 0 .. N - 1.
+        count: N.
+        jitter: j in sample spacings.
+
+    Returns:
+        Signed position; 1 is the end of the line.
+    """
+    return (2 * (sample + 1 + jitter) - (count + 1)) / (count + 1)
+
+
+def read_position(
+    offset_x: Float[Array, "*shape"],
+    offset_y: Float[Array, "*shape"],
+    size: tuple[int, int],
+    border: Border,
+) -> Texels:
+    """The texel nearest to ``pixel + offset``: ``floor(p + offset + 1/2)`` per axis.
+
+    The offset is rounded before the pixel index is added, which keeps all its digits on large
+    frames.
+
+    Args:
+        offset_x: (H, W, n) offset of the tap from its pixel, in pixels to the right.
+        offset_y: (H, W, n) offset in pixels downward.
+        size: (H, W) of the image.
+        border: what happens outside the image, see `jaxblur.Settings`.
+
+    Returns:
+        Texels of shape (H, W, n).
+    """
+    height, width = size
+    row = lax.broadcasted_iota(jnp.int32, (height, width, 1), 0)
+    column = lax.broadcasted_iota(jnp.int32, (height, width, 1), 1)
+    x = column + jnp.floor(offset_x + 0.5).astype(jnp.int32)
+    y = row + jnp.floor(offset_y + 0.5).astype(jnp.int32)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    index = jnp.clip(y, 0, height - 1) * width + jnp.clip(x, 0, width - 1)
+    counts = inside if border == "skip" else jnp.ones_like(inside)
+    return Texels(index, counts, column + offset_x, row + offset_y)
+
+
+def read_nearest(
+    plane: Float[Array, " pixels"], index: Int[Array, "*shape"]
+) -> Float[Array, "*shape"]:
+    """Read a flattened plane at indices that are known to lie inside it.
+
+    Args:
+        plane: (H * W,) values.
+        index: row-major indices.
+
+    Returns:
+        Values of the index's shape.
+    """
+    return plane.at[index].get(mode="promise_in_bounds")
+
+
+def read_color(
+    planes: tuple[Float[Array, " pixels"], ...], texels: Texels, size: tuple[int, int], fetch: Fetch
+) -> tuple[Float[Array, "*shape"], ...]:
+    """Read color planes at the taps.
+
+    ``bilinear`` mixes the texels at floor and floor + 1 (floor and ceil coincide at integers,
+    where the derivative with respect to the position would vanish); beyond the border the edge
+    texel continues. Differentiable in the planes, and under ``bilinear`` in the position.
+
+    Args:
+        planes: one flattened plane a channel.
+        texels: where to read.
+        size: (H, W) of the image.
+        fetch: ``nearest`` or ``bilinear``.
+
+    Returns:
+        One array a channel, of the texels' shape.
+    """
+    if fetch == "nearest":
+        return tuple(read_nearest(plane, texels.index) for plane in planes)
+    height, width = size
+    left, top = jnp.floor(texels.x), jnp.floor(texels.y)
+    across, down = texels.x - left, texels.y - top
+    columns = [jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1)]
+    rows = [jnp.clip(top.astype(jnp.int32) + k, 0, height - 1) * width for k in (0, 1)]
+    corners = [row + column for row in rows for column in columns]
+
+    def mix(plane):
+        a, b, c, d = (read_nearest(plane, corner) for corner in corners)
+        upper, lower = a + across * (b - a), c + across * (d - c)
+        return upper + down * (lower - upper)
+
+    return tuple(mix(plane) for plane in planes)
+
+
+def color_planes(color: Float[Array, "height width channels"]) -> tuple[jax.Array, ...]:
+    """Color as one flattened plane a channel, the layout that `read_color` reads.
+
+    Args:
+        color: (H, W, C).
+
+    Returns:
+        C arrays of shape (H * W,).
+    """
+    return tuple(color[..., channel].reshape(-1) for channel in range(color.shape[-1]))
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def sum_samples(sample: Sample, count: int, operands: Any) -> Terms:
+    """Sum the terms of all samples of every pixel, ``sum_i sample(i, operands)``.
+
+    Args:
+        sample: maps (sample indices (n,), operands) to a tuple of (H, W, n) arrays. A hashable
+            module-level function or partial: it is part of the compilation key.
+        count: number of samples N.
+        operands: pytree of arrays: per-pixel ones of shape (H, W, 1), tables, scalars.
+
+    Returns:
+        A tuple of (H, W) sums. Differentiable in the operands, forward and reverse, to any order
+        that the sample function is.
+    """
+    terms = sample(jnp.arange(count), operands)
+    zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
+
+    def add(totals: Terms, more: Terms) -> Terms:
+        return tuple(a + b for a, b in zip(totals, more, strict=True))
+
+    return tuple(lax.reduce(terms, zeros, add, (2,)))
+
+
+def _sum_by_scan(sample: Sample, count: int, operands: Any) -> Terms:
+    """The same sums, one sample after the other; transposes without keeping any sample."""
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        terms = jax.checkpoint(sample)(index[None], operands)
+        return tuple(a + b[..., 0] for a, b in zip(totals, terms, strict=True)), None
+
+    terms = jax.eval_shape(sample, jnp.arange(1), operands)
+    zeros = tuple(jnp.zeros(term.shape[:2], term.dtype) for term in terms)
+    return lax.scan(step, zeros, jnp.arange(count))[0]
+
+
+def _sum_samples_jvp(sample, count, primals, tangents):
+    """Differentiate only what has a tangent: no scatter appears for parameters alone."""
+    (operands,), (tangent,) = primals, tangents
+    leaves, structure = jax.tree.flatten(operands)
+    directions = jax.tree.leaves(tangent, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
+    active = [k for k, leaf in enumerate(directions) if not isinstance(leaf, SymbolicZero)]
+
+    def by_scan(active_leaves):
+        values = dict(enumerate(leaves)) | dict(zip(active, active_leaves, strict=True))
+        return _sum_by_scan(sample, count, jax.tree.unflatten(structure, list(values.values())))
+
+    totals = sum_samples(sample, count, operands)
+    change = jax.jvp(by_scan, ([leaves[k] for k in active],), ([directions[k] for k in active],))[1]
+    return totals, change
+
+
+sum_samples.defjvp(_sum_samples_jvp, symbolic_zeros=True)

@@ -1,0 +1,66 @@
+"""Static choices of a filter run: what is fixed when a filter is compiled."""
+
+import dataclasses
+import typing
+from typing import Literal
+
+Border = Literal["skip", "clamp"]
+Fetch = Literal["nearest", "bilinear"]
+TileChoice = Literal["stochastic", "own", "expected"]
+Split = Literal["even", "variance"]
+NoiseKind = Literal["ign", "halton", "none"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Static settings of a filter run; hashable, equal settings share one compilation.
+
+    Defaults are those of Guertin et al. 2014 section 3.5. McGuire et al. 2012 publish
+    ``Settings(samples=15, radius=20)``.
+
+    Attributes:
+        samples: taps per pixel, N or S in the papers; McGuire 2012 needs an odd number.
+        radius: tile size and the longest half-spread, in pixels; longer ones are clamped to it.
+        border: ``skip`` gives taps outside the image no weight; ``clamp`` reads the edge texel.
+        fetch: how *color* is read at a tap; velocity and depth always come from the nearest
+            texel, because interpolating opposed velocities cancels them.
+        tile_choice: which tile's dominant velocity a pixel reads near a tile border:
+            ``stochastic`` draws it, ``own`` never leaves the tile, ``expected`` mixes the results
+            of all reachable tiles by their probability (differentiable in tau).
+        split: how taps are shared between the two directions of Guertin 2014: ``even`` half and
+            half, ``variance`` by the angular variance of the tile's ring (eq. 3.2).
+        noise: built-in noise used when none is passed: interleaved gradient noise, Halton, none.
+
+    Raises:
+        ValueError: a setting is out of range or unknown.
+    """
+
+    samples: int = 35
+    radius: int = 40
+    border: Border = "skip"
+    fetch: Fetch = "nearest"
+    tile_choice: TileChoice = "stochastic"
+    split: Split = "even"
+    noise: NoiseKind = "ign"
+
+    def __post_init__(self):
+        for name in ("samples", "radius"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int):
+                raise ValueError(f"`{name}` must be a whole number, got {value!r}.")
+            if value < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {value}.")
+        for name, kind in CHOICES.items():
+            value = getattr(self, name)
+            if value not in kind:
+                options = ", ".join(repr(option) for option in kind)
+                raise ValueError(f"`{name}` must be one of {options}, got {value!r}.")
+
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "border": typing.get_args(Border),
+    "fetch": typing.get_args(Fetch),
+    "tile_choice": typing.get_args(TileChoice),
+    "split": typing.get_args(Split),
+    "noise": typing.get_args(NoiseKind),
+}

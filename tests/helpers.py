@@ -1,0 +1,48 @@
+"""Frames and tolerances that several tests share."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxblur
+
+RELATIVE = {"float32": 1e-4, "float64": 1e-10}
+"""Filter against its plain-loop twin."""
+
+SHAPES = ((13, 17), (24, 32), (7, 41), (1, 9), (1, 1))
+"""Ragged and whole tiles, rows, single pixels."""
+
+
+def random_frame(shape, seed=0, speed=9.0, channels=3, dtype=np.float32, sky=0.1):
+    """Random color, depth (with sky) and velocity; a fifth of the pixels are still."""
+    generator = np.random.default_rng(seed)
+    height, width = shape
+    depth = generator.uniform(1, 10, shape)
+    depth[generator.random(shape) < sky] = np.inf
+    velocity = generator.normal(size=(height, width, 2)) * speed / 2
+    velocity[generator.random(shape) < 0.2] = 0
+    return jaxblur.Frame(
+        color=jnp.asarray(generator.random((height, width, channels)), dtype),
+        depth=jnp.asarray(depth, dtype),
+        velocity=jnp.asarray(velocity, dtype),
+    )
+
+
+def random_noise(shape, seed=1, dtype=np.float32):
+    """Uniform noise in the ranges that `jaxblur.Noise` states."""
+    generator = np.random.default_rng(seed)
+    return jaxblur.Noise(
+        tap=jnp.asarray(generator.uniform(-1, 1, shape), dtype),
+        tile=jnp.asarray(generator.uniform(-0.5, 0.5, (*shape, 2)), dtype),
+    )
+
+
+def as_arrays(frame):
+    """The buffers of a frame as NumPy arrays, in the order color, depth, velocity."""
+    return tuple(np.asarray(buffer) for buffer in (frame.color, frame.depth, frame.velocity))
+
+
+def fields(record):
+    """The fields of a dataclass as a plain dict."""
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
