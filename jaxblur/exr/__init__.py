@@ -1,0 +1,41 @@
+"""Frames in and out of image files, through OpenImageIO.
+
+`read_frame` gives what the filters take, in the conventions of `jaxblur.frame`, whatever
+renderer wrote the file: channels are recognized by name, motion vectors are converted by the
+presets of `jaxblur.vectors`, background depth becomes ``+inf``. Everything is checked where it
+is read: a `JaxblurIOError` names file, channel and remedy, in one line.
+
+    import jaxblur
+
+    frame = jaxblur.read_frame("shot.0011.exr", shutter=0.5)
+    blurred = jaxblur.guertin2014(frame, jaxblur.GuertinParameters())
+    jaxblur.write_image("blurred.0011.exr", blurred, like="shot.0011.exr")
+
+`write_image` keeps windows, metadata, timecode and every other channel of the file it is
+given as a model; files appear under their name only when they are whole. `inspect` lists what
+a file holds. Reading and listing do not load jax; only `read_frame` does, at its end.
+
+Pixels are those of the data window: overscan goes through the filter and comes back. Color is
+linear and, where there is alpha, premultiplied; it is neither clipped nor converted.
+"""
+
+from .choose import ColorGroup as ColorGroup
+from .choose import choose_color as choose_color
+from .choose import choose_depth as choose_depth
+from .choose import choose_vectors as choose_vectors
+from .files import Channel as Channel
+from .files import FileInfo as FileInfo
+from .files import JaxblurIOError as JaxblurIOError
+from .files import JaxblurIOWarning as JaxblurIOWarning
+from .files import Part as Part
+from .files import inspect as inspect
+from .files import read_channels as read_channels
+from .read import DEPTH_KINDS as DEPTH_KINDS
+from .read import Buffers as Buffers
+from .read import read_buffers as read_buffers
+from .read import read_frame as read_frame
+from .read import read_image as read_image
+from .write import refuse_overwrite as refuse_overwrite
+from .write import write_channels as write_channels
+from .write import write_frame as write_frame
+from .write import write_image as write_image

@@ -1,0 +1,363 @@
+"""Open image files, list what is in them, read chosen channels; every failure is one error."""
+
+import contextlib
+import dataclasses
+import os
+import pathlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+from jaxtyping import Float
+
+PathLike = str | os.PathLike[str]
+
+EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
+IMAGE_SIZE_LIMIT_MB = 4096
+
+
+class JaxblurIOError(Exception):
+    """A file could not be read or written; the message is one line: file, problem, remedy.
+
+    Attributes:
+        path: the file.
+        reason: problem and remedy.
+    """
+
+    def __init__(self, path: PathLike, reason: str):
+        self.path = os.fspath(path)
+        self.reason = " ".join(reason.split())
+        super().__init__(f"{self.path}: {self.reason}")
+
+
+class JaxblurIOWarning(UserWarning):
+    """Something in a file is suspicious or was changed, but the work went on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One channel of one part.
+
+    Attributes:
+        name: full name with the part's name before it where the file is multi-part and the
+            channel name does not repeat it.
+        type: "half", "float", "uint", "uint8", ...
+        part: index of the part.
+        index: index of the channel in its part.
+    """
+
+    name: str
+    type: str
+    part: int
+    index: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One part (sub-image) of a file.
+
+    Attributes:
+        name: part name, empty if it has none.
+        channels: its channels in reading order.
+        data_window: (x, y, width, height) of the stored pixels; the origin may be negative.
+        display_window: (x, y, width, height) of the full picture.
+        compression: scheme as the file names it, "none" if it names none.
+        deep: holds several samples per pixel.
+        attributes: metadata, values as OpenImageIO gives them.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    data_window: tuple[int, int, int, int]
+    display_window: tuple[int, int, int, int]
+    compression: str
+    deep: bool
+    attributes: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileInfo:
+    """What a file holds.
+
+    Attributes:
+        path: the file.
+        parts: its parts in order.
+    """
+
+    path: str
+    parts: tuple[Part, ...]
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels of all parts."""
+        return tuple(channel for part in self.parts for channel in part.channels)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Full names of all channels."""
+        return tuple(channel.name for channel in self.channels)
+
+    def channel(self, name: str) -> Channel:
+        """Find a channel by its full name.
+
+        Args:
+            name: full name, as in ``channel_names``.
+
+        Returns:
+            The channel.
+
+        Raises:
+            JaxblurIOError: there is none of that name, or several.
+        """
+        found = [channel for channel in self.channels if channel.name == name]
+        if len(found) != 1:
+            problem = "no channel" if not found else f"{len(found)} channels"
+            names = ", ".join(self.channel_names)
+            raise JaxblurIOError(self.path, f"{problem} called {name}; the file holds {names}.")
+        return found[0]
+
+
+def inspect(path: PathLike) -> FileInfo:
+    """List parts, channels, windows, compression and metadata; read no pixels.
+
+    Args:
+        path: an EXR, PNG, TIFF or HDR file.
+
+    Returns:
+        The listing.
+
+    Raises:
+        JaxblurIOError: missing, unreadable or not an image of the kind that its name says.
+    """
+    with open_input(path) as source:
+        return describe(source, path)
+
+
+def read_channels(path: PathLike, names: Sequence[str]) -> Float[np.ndarray, "height width names"]:
+    """Read channels by full name.
+
+    Args:
+        path: an image file.
+        names: full names, as `inspect` lists them; they may lie in different parts.
+
+    Returns:
+        (H, W, number of names) float32, values as stored (integer files: 0..1).
+
+    Raises:
+        JaxblurIOError: a channel is missing, parts differ in window, or pixels are damaged.
+    """
+    with open_input(path) as source:
+        info = describe(source, path)
+        return read_named(source, info, names)
+
+
+@contextlib.contextmanager
+def open_input(path: PathLike) -> Iterator[Any]:
+    """Open an image with the reader of its extension and close it afterwards.
+
+    Args:
+        path: an image file.
+
+    Yields:
+        An ``OpenImageIO.ImageInput``.
+
+    Raises:
+        JaxblurIOError: missing, a folder, of another kind, or unreadable.
+    """
+    check_readable(path)
+    # A crafted header may ask for all memory, and a foreign reader is a needless risk.
+    oiio.attribute("limits:imagesize_MB", IMAGE_SIZE_LIMIT_MB)
+    oiio.attribute("try_all_readers", 0)
+    try:
+        source = oiio.ImageInput.open(os.fspath(path))
+    except (RuntimeError, UnicodeDecodeError, ValueError) as error:
+        raise JaxblurIOError(path, f"cannot be opened: {error}") from error
+    if source is None:
+        raise JaxblurIOError(path, f"cannot be opened: {pending_message()}")
+    try:
+        yield source
+    finally:
+        source.close()
+        pending_message(source)
+
+
+def check_readable(path: PathLike) -> None:
+    """Refuse paths that cannot be an image before any reader sees them.
+
+    Args:
+        path: an image file.
+
+    Raises:
+        JaxblurIOError: missing, a folder, empty, or with an extension that is not supported.
+    """
+    file = pathlib.Path(path)
+    if not file.exists():
+        raise JaxblurIOError(path, "no such file.")
+    if not file.is_file():
+        raise JaxblurIOError(path, "is not a file; give an image, such as an .exr.")
+    if file.suffix.lower() not in EXTENSIONS:
+        raise JaxblurIOError(path, f"is not one of {', '.join(EXTENSIONS)}; convert it to .exr.")
+    if file.stat().st_size == 0:
+        raise JaxblurIOError(path, "is empty; write it again.")
+
+
+def pending_message(source: Any = None) -> str:
+    """Fetch and clear OpenImageIO's pending error messages.
+
+    Args:
+        source: the reader or writer that failed, if there is one.
+
+    Returns:
+        The message on one line; messages that are not text are replaced by a remark.
+    """
+    messages = []
+    for get in ([source.geterror] if source is not None else []) + [oiio.geterror]:
+        try:
+            messages.append(get())
+        except (UnicodeDecodeError, RuntimeError):
+            messages.append("the reader's message is not text, the file is probably damaged")
+    text = "; ".join(dict.fromkeys(m.strip() for m in messages if m.strip()))
+    return " ".join(text.split()) or "no reason given"
+
+
+def describe(source: Any, path: PathLike) -> FileInfo:
+    """List the parts of an open image.
+
+    Args:
+        source: an open ``ImageInput``.
+        path: its file, for messages.
+
+    Returns:
+        The listing.
+
+    Raises:
+        JaxblurIOError: a header is damaged.
+    """
+    parts: list[Part] = []
+    try:
+        while source.seek_subimage(len(parts), 0):
+            parts.append(_describe_part(source.spec(), len(parts)))
+    except (UnicodeDecodeError, RuntimeError, ValueError) as error:
+        raise JaxblurIOError(path, f"damaged header: {error}") from error
+    pending_message(source)
+    expected = parts[0].attributes.get("oiio:subimages", 1) if parts else 1
+    if len(parts) < int(expected):
+        raise JaxblurIOError(path, f"only {len(parts)} of {expected} parts are readable.")
+    several = len(parts) > 1
+    named = tuple(_qualified(part) if several else part for part in parts)
+    return FileInfo(os.fspath(path), named)
+
+
+def read_named(
+    source: Any, info: FileInfo, names: Sequence[str]
+) -> Float[np.ndarray, "height width names"]:
+    """Read channels of an open image by full name, each span of neighbors at once.
+
+    Args:
+        source: an open ``ImageInput``.
+        info: its listing.
+        names: full names.
+
+    Returns:
+        (H, W, number of names) float32.
+
+    Raises:
+        JaxblurIOError: a channel is missing, parts differ in window, or pixels are damaged.
+    """
+    channels = [info.channel(name) for name in names]
+    windows = {info.parts[channel.part].data_window for channel in channels}
+    if len(windows) != 1:
+        raise JaxblurIOError(
+            info.path, f"channels {', '.join(names)} have different data windows: {windows}."
+        )
+    _, _, width, height = windows.pop()
+    out = np.empty((height, width, len(names)), np.float32)
+    order = sorted(range(len(names)), key=lambda i: (channels[i].part, channels[i].index))
+    for run in _runs(order, channels):
+        first, last = channels[run[0]], channels[run[-1]]
+        out[..., run] = read_span(source, info, first.part, first.index, last.index + 1, "float")
+    return out
+
+
+def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind: str) -> Any:
+    """Read neighboring channels of one part.
+
+    Args:
+        source: an open ``ImageInput``.
+        info: its listing.
+        part: index of the part.
+        begin: first channel.
+        end: one past the last channel.
+        kind: OpenImageIO's name of the type to convert to.
+
+    Returns:
+        (H, W, end - begin) array.
+
+    Raises:
+        JaxblurIOError: the part is deep, or its pixels cannot be read whole.
+    """
+    described = info.parts[part]
+    names = ", ".join(channel.name for channel in described.channels[begin:end])
+    if described.deep:
+        raise JaxblurIOError(info.path, f"{names}: deep pixels; flatten the image first.")
+    try:
+        pixels = source.read_image(part, 0, begin, end, kind)
+    except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError) as error:
+        raise JaxblurIOError(info.path, f"{names}: cannot be read: {error}") from error
+    if pixels is None:
+        message = pending_message(source)
+        raise JaxblurIOError(
+            info.path, f"{names}: truncated or damaged, copy or render it again ({message})."
+        )
+    return pixels
+
+
+def _describe_part(spec: Any, index: int) -> Part:
+    formats = spec.channelformats or [spec.format] * spec.nchannels
+    channels = tuple(
+        Channel(name, str(kind), index, position)
+        for position, (name, kind) in enumerate(zip(spec.channelnames, formats, strict=True))
+    )
+    attributes = _attributes(spec)
+    return Part(
+        name=str(attributes.get("name", "")),
+        channels=channels,
+        data_window=(spec.x, spec.y, spec.width, spec.height),
+        display_window=(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
+        compression=str(attributes.get("compression", "none")),
+        deep=bool(spec.deep),
+        attributes=attributes,
+    )
+
+
+def _attributes(spec: Any) -> dict[str, Any]:
+    values = {}
+    for attribute in spec.extra_attribs:
+        # Studios write names in local encodings; one such value must not hide the others.
+        with contextlib.suppress(UnicodeDecodeError):
+            values[attribute.name] = attribute.value
+    return values
+
+
+def _qualified(part: Part) -> Part:
+    def full(name: str) -> str:
+        repeated = name == part.name or name.startswith(part.name + ".")
+        return name if repeated or not part.name else f"{part.name}.{name}"
+
+    channels = tuple(dataclasses.replace(c, name=full(c.name)) for c in part.channels)
+    return dataclasses.replace(part, channels=channels)
+
+
+def _runs(order: list[int], channels: list[Channel]) -> Iterator[list[int]]:
+    """Split positions, sorted by place in the file, into runs of neighboring channels."""
+    run: list[int] = []
+    for position in order:
+        previous = channels[run[-1]] if run else None
+        here = channels[position]
+        if previous and (previous.part, previous.index + 1) != (here.part, here.index):
+            yield run
+            run = []
+        run.append(position)
+    if run:
+        yield run

@@ -1,0 +1,353 @@
+"""Read frames: color, depth and vectors, converted and checked at the door."""
+
+import dataclasses
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxblur import vectors
+
+from .choose import choose_color, choose_depth, choose_vectors
+from .files import (
+    Channel,
+    FileInfo,
+    JaxblurIOError,
+    JaxblurIOWarning,
+    PathLike,
+    inspect,
+    read_channels,
+)
+from .srgb import from_srgb
+
+if TYPE_CHECKING:
+    from jaxblur.frame import Frame
+
+DEPTH_KINDS = ("z", "-z", "1/z", "normalized-near1", "flat")
+# Renderers that cannot write infinity write 1e10 or 1e30 for the sky.
+SKY_DEPTH = 1e9
+# Squares of larger displacements overflow single precision; no picture is that large.
+SPEED_LIMIT = 1e6
+
+
+@dataclasses.dataclass(frozen=True)
+class Buffers:
+    """A frame as NumPy arrays, with how it was read.
+
+    Attributes:
+        color: (H, W, C) float32 as stored, premultiplied if it has alpha.
+        depth: (H, W) float32 positive distance, +inf for sky.
+        velocity: (H, W, 2) float32 half-spread in pixels, x right, y down.
+        path: (H, W, 2, 2) displacement at shutter opening and closing, or None.
+        color_channels: full names of the color channels.
+        depth_channel: full name, or None where depth is flat.
+        depth_kind: how depth was read.
+        guess: convention and channels of the vectors, and why.
+    """
+
+    color: Float[np.ndarray, "height width channels"]
+    depth: Float[np.ndarray, "height width"]
+    velocity: Float[np.ndarray, "height width 2"]
+    path: Float[np.ndarray, "height width 2 2"] | None
+    color_channels: tuple[str, ...]
+    depth_channel: str | None
+    depth_kind: str
+    guess: vectors.Guess
+
+
+class ReadOptions(TypedDict, total=False):
+    """Keyword arguments of `read_buffers`, which documents them and their defaults."""
+
+    depth: str
+    velocity_from: PathLike | None
+    depth_from: PathLike | None
+    file_shutter: float | None
+    max_displace: float | None
+    layer: str | None
+    color_channels: Sequence[str] | None
+    velocity_channels: Sequence[str] | None
+    depth_channel: str | None
+    non_finite: Literal["error", "zero"]
+
+
+def read_frame(
+    path: PathLike, preset: str = "auto", shutter: float = 0.5, **options: Unpack[ReadOptions]
+) -> "Frame":
+    """Read a frame for the filters.
+
+    Args:
+        path: image with the color and, unless given apart, vectors and depth.
+        preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
+        shutter: exposure to blur for, frames.
+        **options: see `read_buffers`.
+
+    Returns:
+        The frame, in the conventions of `jaxblur.frame`.
+
+    Raises:
+        JaxblurIOError: as `read_buffers`.
+        ValueError: as `read_buffers`.
+    """
+    buffers = read_buffers(path, preset, shutter, **options)
+    # Late, so that listings and path errors answer without loading jax.
+    import jax.numpy as jnp
+
+    from jaxblur.frame import Frame
+
+    return Frame(
+        color=jnp.asarray(buffers.color),
+        depth=jnp.asarray(buffers.depth),
+        velocity=jnp.asarray(buffers.velocity),
+        path=None if buffers.path is None else jnp.asarray(buffers.path),
+    )
+
+
+def read_buffers(
+    path: PathLike,
+    preset: str = "auto",
+    shutter: float = 0.5,
+    *,
+    depth: str = "auto",
+    velocity_from: PathLike | None = None,
+    depth_from: PathLike | None = None,
+    file_shutter: float | None = None,
+    max_displace: float | None = None,
+    layer: str | None = None,
+    color_channels: Sequence[str] | None = None,
+    velocity_channels: Sequence[str] | None = None,
+    depth_channel: str | None = None,
+    non_finite: Literal["error", "zero", "keep"] = "error",
+) -> Buffers:
+    """Read color, depth and vectors, convert and check them; jax is not loaded.
+
+    Args:
+        path: image with the color and, unless given apart, vectors and depth.
+        preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
+        shutter: exposure to blur for, frames.
+        depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers),
+            "normalized-near1" 0..1 with near white (only its order is used: 2 - value), "flat"
+            everything equally far, "auto" as the preset's renderer does.
+        velocity_from: file with the vectors.
+        depth_from: file with the depth.
+        file_shutter: exposure of the render that wrote the vectors, frames; only for presets
+            that span the shutter.
+        max_displace: pixels that a full-range vector stands for; only for presets scaled so.
+        layer: view layer, view or part to look in.
+        color_channels: full names of the color channels.
+        velocity_channels: full names of the vector channels, x and y of each pair.
+        depth_channel: full name of the depth channel.
+        non_finite: NaN and infinity in color or vectors: "error", "zero" with a warning, or
+            "keep" for looking at them.
+
+    Returns:
+        The buffers, all of one size.
+
+    Raises:
+        JaxblurIOError: a file is missing or damaged, a channel is missing or ambiguous, values
+            are out of range or not finite, or sizes differ. The message names file and channel.
+        ValueError: an argument that does not depend on the file is wrong.
+    """
+    _check_arguments(preset, shutter, depth, non_finite)
+    info = inspect(path)
+    group = choose_color(info, layer, color_channels)
+    color = _finite(read_channels(path, group.channels), path, group.channels, non_finite)
+
+    vector_info = inspect(velocity_from) if velocity_from else info
+    guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
+    raw = _read_data(vector_info, guess.channels, info, color)
+    raw = _finite(raw, vector_info.path, guess.channels, non_finite)
+    alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
+    displacements = _decode(vector_info, guess, raw, alpha, max_displace, file_shutter)
+    velocity, curve = vectors.to_half_spread(displacements, shutter)
+    if non_finite != "keep":
+        _check_speed(velocity, vector_info.path, guess)
+
+    kind = guess.preset.depth if depth == "auto" else depth
+    if kind == "flat":
+        flat = np.ones(color.shape[:2], np.float32)
+        return Buffers(color, flat, velocity, curve, group.channels, None, kind, guess)
+    depth_info = inspect(depth_from) if depth_from else info
+    taken = guess.channels if depth_info.path == vector_info.path else ()
+    channel = choose_depth(
+        depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
+    )
+    raw_depth = _read_data(depth_info, [channel], info, color)[..., 0]
+    distance = to_distance(raw_depth, kind, depth_info.path, channel)
+    return Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
+
+
+def read_image(
+    path: PathLike, layer: str | None = None, color_channels: Sequence[str] | None = None
+) -> Float[np.ndarray, "height width channels"]:
+    """Read the picture of a file: the color of an EXR, or a PNG, TIFF or HDR.
+
+    Integer files are decoded with the sRGB curve, so that every result is linear light.
+
+    Args:
+        path: image file.
+        layer: view layer, view or part to look in.
+        color_channels: full names to read instead of the recognized ones.
+
+    Returns:
+        (H, W, C) float32 linear light, channels in the order R, G, B, A.
+
+    Raises:
+        JaxblurIOError: missing, damaged, no color, or values that are not finite.
+    """
+    info = inspect(path)
+    group = choose_color(info, layer, color_channels)
+    image = _finite(read_channels(path, group.channels), path, group.channels, "error")
+    if info.channel(group.channels[0]).type not in ("uint8", "uint16"):
+        return image
+    encoded = [i for i, name in enumerate(group.channels) if name != group.alpha]
+    image[..., encoded] = from_srgb(image[..., encoded])
+    return image
+
+
+def to_distance(
+    raw: Float[np.ndarray, "height width"], kind: str, path: PathLike, channel: str
+) -> Float[np.ndarray, "height width"]:
+    """Turn stored depth into positive distance, with +inf where nothing was hit.
+
+    Background is what is not finite, 1e9 or more, or 0 ("z", "-z", "1/z", and near-white depth).
+
+    Args:
+        raw: (H, W) as stored.
+        kind: "z", "-z", "1/z" or "normalized-near1", as in `read_buffers`.
+        path: file, for messages.
+        channel: channel, for messages.
+
+    Returns:
+        (H, W) float32, positive, +inf for background.
+
+    Raises:
+        JaxblurIOError: values contradict the kind of depth.
+    """
+    values = -raw if kind == "-z" else raw
+    hit = np.isfinite(values) & (values < SKY_DEPTH) & (values != 0)
+    _refuse(hit & (values < 0), path, channel, "negative", _NEGATIVE_DEPTH[kind])
+    if kind == "normalized-near1":
+        _refuse(hit & (values > 1), path, channel, "above 1", "pass depth='z' if it is a distance.")
+        distance = 2 - values
+    elif kind == "1/z":
+        far = (values >= SKY_DEPTH) & np.isfinite(values)
+        _refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
+        distance = 1 / np.where(hit, values, 1)
+    else:
+        distance = values
+    return np.where(hit, distance, np.inf).astype(np.float32)
+
+
+_NEGATIVE_DEPTH = {
+    "z": "pass depth='-z' if the camera looks along -z, or render depth again.",
+    "-z": "pass depth='z', distances are positive here.",
+    "1/z": "render depth again, or pass depth='z' or '-z'.",
+    "normalized-near1": "pass depth='z' or '-z', values must lie in 0..1.",
+}
+
+
+def _check_arguments(preset: str, shutter: float, depth: str, non_finite: str) -> None:
+    if preset != "auto":
+        vectors.known_preset(preset)
+    vectors.check_shutter(shutter, "shutter")
+    if depth not in ("auto", *DEPTH_KINDS):
+        raise ValueError(f"`depth` must be auto or one of {', '.join(DEPTH_KINDS)}; got {depth!r}.")
+    if non_finite not in ("error", "zero", "keep"):
+        raise ValueError(f"`non_finite` must be error, zero or keep; got {non_finite!r}.")
+
+
+def _read_data(
+    data: FileInfo, names: Sequence[str], picture: FileInfo, color: np.ndarray
+) -> np.ndarray:
+    """Read vectors or depth and hold their size against the color's."""
+    values = read_channels(data.path, names)
+    if values.shape[:2] != color.shape[:2]:
+        (rows, columns), (height, width) = values.shape[:2], color.shape[:2]
+        raise JaxblurIOError(
+            data.path,
+            f"{', '.join(names)}: {columns}x{rows} pixels, but the color of {picture.path} has "
+            f"{width}x{height}; render them with the same data window.",
+        )
+    for name in names:
+        _warn_lossy(data, data.channel(name))
+    return values
+
+
+def _decode(
+    info: FileInfo,
+    guess: vectors.Guess,
+    raw: np.ndarray,
+    alpha: np.ndarray | None,
+    max_displace: float | None,
+    file_shutter: float | None,
+) -> vectors.Displacements:
+    *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
+    try:
+        return vectors.to_displacements(
+            raw,
+            guess,
+            size=(height, width),
+            max_displace=max_displace,
+            file_shutter=file_shutter,
+            alpha=alpha,
+        )
+    except ValueError as error:
+        raise JaxblurIOError(info.path, str(error)) from error
+
+
+def _warn_lossy(info: FileInfo, channel: Channel) -> None:
+    compression = info.parts[channel.part].compression.partition(":")[0]
+    lossy = {
+        "pxr24": channel.type == "float",
+        "b44": channel.type == "half",
+        "b44a": channel.type == "half",
+        "dwaa": True,
+        "dwab": True,
+    }
+    if lossy.get(compression, False):
+        warnings.warn(
+            f"{info.path}: {channel.name} is stored with lossy compression ({compression}), its "
+            "values are inexact; write vectors and depth with zip.",
+            JaxblurIOWarning,
+            stacklevel=4,
+        )
+
+
+def _finite(
+    values: np.ndarray, path: PathLike, names: Sequence[str], non_finite: str
+) -> np.ndarray:
+    """Refuse or zero NaN and infinity, channel by channel."""
+    bad = ~np.isfinite(values)
+    if non_finite == "keep" or not bad.any():
+        return values
+    if non_finite == "error":
+        remedy = "repair it, or read it with non_finite='zero'."
+        for index, name in enumerate(names):
+            _refuse(bad[..., index], path, name, "NaN or infinite", remedy)
+    warnings.warn(
+        f"{path}: {bad.any(axis=-1).sum()} pixels with NaN or infinity in {', '.join(names)} "
+        "were set to 0.",
+        JaxblurIOWarning,
+        stacklevel=3,
+    )
+    return np.where(bad, np.float32(0), values)
+
+
+def _check_speed(velocity: np.ndarray, path: PathLike, guess: vectors.Guess) -> None:
+    # Negated, so that NaN from an overflow is caught too.
+    fast = ~(np.abs(velocity).max(axis=-1) <= SPEED_LIMIT)
+    remedy = f"check the preset ({guess.preset.name}) and the file."
+    _refuse(fast, path, ", ".join(guess.channels), f"faster than {SPEED_LIMIT:.0e} px", remedy)
+
+
+def _refuse(bad: np.ndarray, path: PathLike, channel: str, what: str, remedy: str) -> None:
+    """Raise if any pixel is bad, naming the count and the first one."""
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise JaxblurIOError(
+            path,
+            f"{channel}: {int(bad.sum())} of {bad.size} pixels are {what} (first at row {row}, "
+            f"column {column}); {remedy}",
+        )

@@ -1,0 +1,425 @@
+"""Write images: atomically, with the windows, metadata and other channels of a model file."""
+
+import contextlib
+import dataclasses
+import os
+import pathlib
+import secrets
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import OpenImageIO as oiio
+from jaxtyping import Float
+
+from .choose import choose_color
+from .files import (
+    FileInfo,
+    JaxblurIOError,
+    JaxblurIOWarning,
+    PathLike,
+    describe,
+    open_input,
+    pending_message,
+    read_span,
+)
+from .header import relabel_as_uint
+from .srgb import to_srgb
+
+if TYPE_CHECKING:
+    from jaxblur.frame import Frame
+
+HALF_MAX = 65504.0
+LOSSLESS = ("none", "rle", "zip", "zips", "piz", "htj2k", "htj2k32", "htj2k256")
+# Schemes that treat a 32-bit integer and a 32-bit float alike, see `relabel_as_uint`.
+TYPE_BLIND = ("none", "rle", "zip", "zips", "piz")
+COLOR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+
+
+def write_image(
+    path: PathLike,
+    image: Float[np.ndarray, "height width channels"],
+    like: PathLike | None = None,
+    *,
+    extra: Literal["keep", "drop"] = "keep",
+    dtype: Literal["half", "float"] | None = None,
+    attributes: Mapping[str, str | int | float] | None = None,
+    layer: str | None = None,
+    color_channels: Sequence[str] | None = None,
+) -> None:
+    """Write a picture, by default in place of the color of another file.
+
+    The file appears under its name only when it is whole. With ``like``, windows, metadata,
+    timecode, channel names and types are those of that file, and all its other channels and
+    parts are copied bit for bit; its compression is kept where it is lossless, else zip. A
+    ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
+
+    Args:
+        path: ``.exr`` or ``.png`` to write.
+        image: (H, W, C) linear light; JAX arrays are accepted.
+        like: EXR file whose color channels the image replaces.
+        extra: "drop" leaves out all channels and parts of ``like`` that are not color.
+        dtype: type of the color channels; that of ``like`` if None, else half.
+        attributes: metadata to add, such as ``{"jaxblur:version": "0.1.0"}``.
+        layer: where in ``like`` to look for color, as in `read_frame`.
+        color_channels: full names of the channels of ``like`` to replace.
+
+    Raises:
+        JaxblurIOError: not finite, sizes or channel counts differ, ``path`` is ``like`` itself,
+            or the disk refused; nothing is left behind and an older file stays as it was.
+        ValueError: an argument is wrong.
+    """
+    if extra not in ("keep", "drop"):
+        raise ValueError(f"`extra` must be keep or drop; got {extra!r}.")
+    pixels = _checked_image(path, image)
+    kind = pathlib.Path(path).suffix.lower()
+    if kind == ".png":
+        _write_png(path, pixels, attributes)
+    elif kind != ".exr":
+        raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
+    elif like is None:
+        names = COLOR_NAMES.get(pixels.shape[2]) or [f"channel{i}" for i in range(pixels.shape[2])]
+        channels = {name: pixels[..., index] for index, name in enumerate(names)}
+        write_channels(path, channels, dtype=dtype or "half", attributes=attributes)
+    else:
+        refuse_overwrite(path, like)
+        with open_input(like) as source:
+            info = describe(source, like)
+            names = choose_color(info, layer, color_channels).channels
+            _check_model(path, pixels, info, names)
+            plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
+            with _replacing(path) as temporary:
+                _write_parts(path, temporary, source, info, plans, pixels)
+
+
+def write_channels(
+    path: PathLike,
+    channels: Mapping[str, Float[np.ndarray, "height width"]],
+    *,
+    dtype: Literal["half", "float"] | Mapping[str, Literal["half", "float"]] = "float",
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Write named channels as a single-part EXR with zip compression, atomically.
+
+    Args:
+        path: ``.exr`` to write.
+        channels: (H, W) arrays by full channel name, all of one size.
+        dtype: type of all channels, or by name (float where not named).
+        attributes: metadata to add.
+
+    Raises:
+        JaxblurIOError: the disk refused.
+        ValueError: no channels, or sizes differ.
+    """
+    arrays = {name: np.asarray(values, np.float32) for name, values in channels.items()}
+    shapes = {values.shape for values in arrays.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise ValueError(f"`channels` must be arrays of one (height, width), got {shapes}.")
+    ((height, width),) = shapes
+    kinds = [dtype if isinstance(dtype, str) else dtype.get(name, "float") for name in arrays]
+    spec = oiio.ImageSpec(width, height, len(arrays), "float")
+    spec.channelnames = tuple(arrays)
+    _set_formats(spec, kinds)
+    spec.attribute("compression", "zip")
+    _set_attributes(spec, attributes)
+    pixels = np.stack(list(arrays.values()), axis=-1)
+    half = [index for index, kind in enumerate(kinds) if kind == "half"]
+    pixels[..., half] = _clamp_half(path, pixels[..., half])
+    with _replacing(path) as temporary, _writer(path, temporary, [spec]) as output:
+        _checked(path, output, output.write_image(pixels))
+
+
+def write_frame(
+    path: PathLike,
+    frame: "Frame",
+    shutter: float,
+    *,
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> None:
+    """Write a frame as preset ``jaxblur`` reads it: color half, depth Z and vectors float.
+
+    The velocity channels hold pixels per full frame, x right, y down: ``2/shutter * velocity``,
+    or, with a path, the positions one frame before and after (the parabola through the ends).
+
+    Args:
+        path: ``.exr`` to write.
+        frame: color with 1 to 4 channels, depth, half-spread, and optionally a path.
+        shutter: exposure that the half-spread stands for, frames, above 0.
+        attributes: metadata to add.
+
+    Raises:
+        JaxblurIOError: the disk refused.
+        ValueError: ``shutter`` is not positive.
+    """
+    if not shutter > 0:
+        raise ValueError(f"`shutter` must be above 0 to store vectors per frame, got {shutter}.")
+    color = np.asarray(frame.color, np.float32)
+    names = COLOR_NAMES[color.shape[2]]
+    channels = {name: color[..., index] for index, name in enumerate(names)}
+    channels["Z"] = np.asarray(frame.depth, np.float32)
+    channels |= _velocity_channels(frame, shutter)
+    write_channels(path, channels, dtype=dict.fromkeys(names, "half"), attributes=attributes)
+
+
+def refuse_overwrite(output: PathLike, *inputs: PathLike) -> None:
+    """Refuse an output path that is one of the inputs, by whatever name.
+
+    Args:
+        output: file to be written.
+        *inputs: files that are read.
+
+    Raises:
+        JaxblurIOError: they are the same file.
+    """
+    for source in inputs:
+        if os.path.exists(output) and os.path.exists(source) and os.path.samefile(output, source):
+            raise JaxblurIOError(output, "is an input too; write to another file.")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """How one part of the model is written.
+
+    Attributes:
+        part: its index in the model.
+        spec: header of the output part.
+        keep: indices of the model's channels that are written, in order.
+        color: (position in ``keep``, channel of the image) of what is replaced.
+        half: positions in ``keep`` of replaced channels that are written as half.
+        uint: positions in ``keep`` of integer channels.
+    """
+
+    part: int
+    spec: Any
+    keep: tuple[int, ...]
+    color: tuple[tuple[int, int], ...]
+    half: tuple[int, ...]
+    uint: tuple[int, ...]
+
+
+def _plan_parts(
+    source: Any,
+    info: FileInfo,
+    color: Sequence[str],
+    keep_extra: bool,
+    dtype: str | None,
+    attributes: Mapping[str, str | int | float] | None,
+) -> list[_Plan]:
+    plans = []
+    for index, part in enumerate(info.parts):
+        is_color = any(channel.name in color for channel in part.channels)
+        if is_color or keep_extra:
+            source.seek_subimage(index, 0)
+            plan = _plan_part(source.spec(), info, index, color, keep_extra, dtype)
+            if is_color:
+                _set_attributes(plan.spec, attributes)
+            plans.append(plan)
+    return plans
+
+
+def _plan_part(
+    spec: Any, info: FileInfo, index: int, color: Sequence[str], keep_extra: bool, dtype: str | None
+) -> _Plan:
+    part = info.parts[index]
+    kept = [c for c in part.channels if keep_extra or c.name in color]
+    replaced = tuple(
+        (position, color.index(c.name)) for position, c in enumerate(kept) if c.name in color
+    )
+    kinds = [channel.type for channel in kept]
+    for position, _ in replaced:
+        kinds[position] = dtype or kinds[position]
+    uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if replaced else ()
+    header = oiio.ImageSpec(spec)
+    header.nchannels = len(kept)
+    header.channelnames = tuple(spec.channelnames[channel.index] for channel in kept)
+    _set_formats(header, ["float" if i in uint else kind for i, kind in enumerate(kinds)])
+    scheme = part.compression.partition(":")[0]
+    allowed = TYPE_BLIND if uint else LOSSLESS
+    header.attribute("compression", scheme if scheme in allowed else "zip")
+    # They describe the model's own storage, which may change here.
+    for name in ("openexr:chunkCount", "openexr:levelmode", "openexr:dwaCompressionLevel"):
+        header.erase_attribute(name)
+    half = tuple(position for position, _ in replaced if kinds[position] == "half")
+    return _Plan(index, header, tuple(c.index for c in kept), replaced, half, uint)
+
+
+def _write_parts(
+    path: PathLike,
+    temporary: str,
+    source: Any,
+    info: FileInfo,
+    plans: list[_Plan],
+    image: np.ndarray,
+) -> None:
+    specs = [plan.spec for plan in plans]
+    with _writer(path, temporary, specs) as output:
+        for position, plan in enumerate(plans):
+            if position:
+                _checked(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
+            if plan.color:
+                pixels = _merged(path, source, info, plan, image)
+                _checked(path, output, output.write_image(pixels))
+            else:
+                source.seek_subimage(plan.part, 0)
+                _copy_part(path, source, info, output)
+    for position, plan in enumerate(plans):
+        if plan.uint:
+            names = [plan.spec.channelnames[index] for index in plan.uint]
+            relabel_as_uint(temporary, position, names)
+
+
+def _merged(
+    path: PathLike, source: Any, info: FileInfo, plan: _Plan, image: np.ndarray
+) -> np.ndarray:
+    """Take a part of the model and put the new color in."""
+    channels = info.parts[plan.part].channels
+    old = read_span(source, info, plan.part, 0, len(channels), "float")
+    pixels = np.ascontiguousarray(old[..., plan.keep])
+    for position in plan.uint:
+        index = plan.keep[position]
+        bits = read_span(source, info, plan.part, index, index + 1, "uint")
+        pixels[..., position] = bits[..., 0].view(np.float32)
+    for position, channel in plan.color:
+        pixels[..., position] = image[..., channel]
+    pixels[..., plan.half] = _clamp_half(path, pixels[..., plan.half])
+    return pixels
+
+
+def _copy_part(path: PathLike, source: Any, info: FileInfo, output: Any) -> None:
+    if not output.copy_image(source):
+        failure = JaxblurIOError(info.path, f"a part cannot be copied: {pending_message(source)}.")
+        raise JaxblurIOError(path, f"{pending_message(output)}") from failure
+
+
+def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
+    """Hold the image against the model's size and number of color channels."""
+    if not info.path.lower().endswith(".exr"):
+        raise JaxblurIOError(info.path, "`like` must be an .exr file.")
+    *_, width, height = info.parts[info.channel(names[0]).part].data_window
+    if image.shape != (height, width, len(names)):
+        rows, columns, count = image.shape
+        raise JaxblurIOError(
+            path,
+            f"the image has {columns}x{rows} pixels and {count} channels, but {info.path} has "
+            f"{width}x{height} and {', '.join(names)}.",
+        )
+
+
+def _checked_image(path: PathLike, image: Any) -> np.ndarray:
+    pixels = np.asarray(image, np.float32)
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise ValueError(
+            f"`image` must have shape (height, width, channels), none 0; got {pixels.shape}."
+        )
+    bad = ~np.isfinite(pixels)
+    if bad.any():
+        raise JaxblurIOError(
+            path, f"{int(bad.sum())} values of the image are NaN or infinite; nothing was written."
+        )
+    return pixels
+
+
+def _clamp_half(path: PathLike, values: np.ndarray) -> np.ndarray:
+    over = np.abs(values) > HALF_MAX
+    if over.any():
+        warnings.warn(
+            f"{path}: {int(over.sum())} values beyond {HALF_MAX:.0f} were clamped, the range of "
+            "half; write float to keep them.",
+            JaxblurIOWarning,
+            stacklevel=4,
+        )
+    return np.clip(values, -HALF_MAX, HALF_MAX)
+
+
+def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
+    if frame.path is None:
+        velocity = np.asarray(frame.velocity, np.float32) * np.float32(2 / shutter)
+        return {"velocity.X": velocity[..., 0], "velocity.Y": velocity[..., 1]}
+    ends = np.asarray(frame.path, np.float32)
+    linear = (ends[..., 1, :] - ends[..., 0, :]) / np.float32(shutter)
+    bend = (ends[..., 1, :] + ends[..., 0, :]) * np.float32(2 / shutter**2)
+    return {
+        f"velocity.{side}.{axis}": (bend + sign * linear)[..., index]
+        for side, sign in (("previous", -1), ("next", 1))
+        for index, axis in enumerate("XY")
+    }
+
+
+def _write_png(
+    path: PathLike, image: np.ndarray, attributes: Mapping[str, str | int | float] | None
+) -> None:
+    count = image.shape[2]
+    color = image[..., : 1 if count in (1, 2) else 3]
+    height, width, channels = color.shape
+    spec = oiio.ImageSpec(width, height, channels, "uint8")
+    spec.attribute("oiio:ColorSpace", "sRGB")
+    _set_attributes(spec, attributes)
+    pixels = np.round(to_srgb(color) * 255).astype(np.uint8)
+    with _replacing(path) as temporary, _writer(path, temporary, [spec]) as output:
+        _checked(path, output, output.write_image(pixels))
+
+
+def _set_formats(spec: Any, kinds: Sequence[str]) -> None:
+    widest = next((kind for kind in ("float", "uint", "half") if kind in kinds), kinds[0])
+    spec.set_format(widest)
+    mixed = len(set(kinds)) > 1
+    spec.channelformats = [oiio.TypeDesc(kind) for kind in kinds] if mixed else []
+    names = list(spec.channelnames)
+    spec.alpha_channel = names.index("A") if "A" in names else -1
+    spec.z_channel = -1
+
+
+def _set_attributes(spec: Any, attributes: Mapping[str, str | int | float] | None) -> None:
+    for name, value in (attributes or {}).items():
+        spec.attribute(name, value)
+
+
+@contextlib.contextmanager
+def _replacing(path: PathLike) -> Iterator[str]:
+    """Give a hidden temporary name; put the file in place if the body succeeds, else remove it."""
+    target = pathlib.Path(path)
+    if target.is_dir():
+        raise JaxblurIOError(path, "is a folder; give a file name.")
+    temporary = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
+    try:
+        # Created here, so that the file gets the permissions that the umask leaves.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield os.fspath(temporary)
+        _sync(temporary)
+        os.replace(temporary, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise JaxblurIOError(path, f"cannot be written: {error.strerror or error}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync(path: pathlib.Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any]:
+    """Open a writer for one or several parts; check opening and closing."""
+    output = oiio.ImageOutput.create(temporary)
+    if output is None:
+        raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
+    first = specs[0] if len(specs) == 1 else tuple(specs)
+    _checked(path, output, output.open(temporary, first))
+    try:
+        yield output
+    except BaseException:
+        output.close()
+        pending_message(output)
+        raise
+    _checked(path, output, output.close())
+
+
+def _checked(path: PathLike, output: Any, succeeded: bool) -> None:
+    if not succeeded:
+        raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")

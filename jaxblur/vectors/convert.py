@@ -1,0 +1,147 @@
+"""From raw vectors to displacements, from displacements to half-spreads and paths."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from .guess import Guess
+from .presets import Preset
+
+
+@dataclasses.dataclass(frozen=True)
+class Displacements:
+    """Where each pixel's surface point was and will be, relative to now.
+
+    Attributes:
+        previous: (H, W, 2) pixels, x right, y down, one frame earlier; None if unknown.
+        next: (H, W, 2) the same, one frame later; None if unknown.
+    """
+
+    previous: Float[np.ndarray, "height width 2"] | None
+    next: Float[np.ndarray, "height width 2"] | None
+
+
+def to_displacements(
+    raw: Float[np.ndarray, "height width channels"],
+    guess: Guess,
+    *,
+    size: tuple[int, int],
+    max_displace: float | None = None,
+    file_shutter: float | None = None,
+    alpha: Float[np.ndarray, "height width"] | None = None,
+) -> Displacements:
+    """Decode raw vectors: ``sign * (raw - offset) * gain * scale / span``.
+
+    Args:
+        raw: (H, W, 2 or 4) values of ``guess.channels`` as stored.
+        guess: the convention and its layout.
+        size: (height, width) of the full picture, pixels.
+        max_displace: pixels that a full-range value stands for (scale "max-displace").
+        file_shutter: exposure of the render that wrote the vectors, frames (span "shutter").
+        alpha: (H, W) coverage, for vectors that were multiplied by it.
+
+    Returns:
+        Displacements over one full frame, float32 pixels, x right, y down.
+
+    Raises:
+        ValueError: the convention needs an argument that was not given.
+    """
+    preset = guess.preset
+    if preset.premultiplied:
+        raw = _unpremultiply(raw, alpha, preset)
+    scale = _scale(preset, size, max_displace) * preset.gain / _span(preset, file_shutter)
+    sides: dict[int, np.ndarray] = {}
+    for index, pair in enumerate(guess.layout):
+        values = raw[..., 2 * index : 2 * index + 2] - np.float32(preset.offset)
+        factor = np.array([pair.sign_x, pair.sign_y]) * scale
+        sides[pair.time] = values * factor.astype(np.float32)
+    return Displacements(sides.get(-1), sides.get(1))
+
+
+def to_half_spread(
+    displacements: Displacements, shutter: float
+) -> tuple[Float[np.ndarray, "height width 2"], Float[np.ndarray, "height width 2 2"] | None]:
+    """Turn displacements per frame into the half-spread and, with both sides, the path.
+
+    With one side the motion is a straight line: ``velocity = shutter/2 * displacement``. With
+    both, the path is the parabola through the previous position a (t = -1), now (t = 0) and
+    the next position b (t = +1),
+
+        x(t) = t (b - a)/2 + t^2 (a + b)/2,
+
+    taken at t = -shutter/2 and +shutter/2; the half-spread is half their difference, which is
+    ``shutter/4 * (b - a)``: the curvature cancels in it.
+
+    Args:
+        displacements: as `to_displacements` returns them.
+        shutter: exposure in frames.
+
+    Returns:
+        velocity (H, W, 2) in pixels, x right, y down, and path (H, W, 2, 2): displacement at
+        shutter opening and closing, or None where only one side is known.
+
+    Raises:
+        ValueError: ``shutter`` is negative or not finite, or there are no displacements.
+    """
+    check_shutter(shutter, "shutter")
+    previous, following = displacements.previous, displacements.next
+    half = np.float32(shutter / 2)
+    if previous is not None and following is not None:
+        linear = half * (following - previous) / 2
+        bend = half**2 * (previous + following) / 2
+        return linear, np.stack([bend - linear, bend + linear], axis=-2)
+    if following is not None:
+        return half * following, None
+    if previous is not None:
+        return -half * previous, None
+    raise ValueError("`displacements` must hold the previous or the next side, got neither.")
+
+
+def check_shutter(shutter: float, argument: str) -> None:
+    """Refuse an exposure that is negative or not a number.
+
+    Args:
+        shutter: exposure in frames.
+        argument: its name in the message.
+
+    Raises:
+        ValueError: the value is negative or not finite.
+    """
+    if not (np.isfinite(shutter) and shutter >= 0):
+        raise ValueError(f"`{argument}` must be a fraction of a frame, 0 or more; got {shutter}.")
+
+
+def _scale(preset: Preset, size: tuple[int, int], max_displace: float | None) -> np.ndarray:
+    """Return what one unit of x and y is worth in pixels."""
+    height, width = size
+    if preset.scale == "max-displace":
+        if max_displace is None or not max_displace > 0:
+            raise ValueError(
+                f"preset `{preset.name}` needs `max_displace`, the pixels that a full-range "
+                f"value stands for; got {max_displace}."
+            )
+        return np.array([max_displace, max_displace])
+    factors = {"pixels": (1, 1), "size": (width, height), "half-size": (width / 2, height / 2)}
+    return np.array(factors[preset.scale], dtype=float)
+
+
+def _span(preset: Preset, file_shutter: float | None) -> float:
+    if preset.span == "frame":
+        return 1.0
+    if file_shutter is None or not file_shutter > 0:
+        raise ValueError(
+            f"preset `{preset.name}` stores motion over the shutter of its render: give that "
+            f"exposure in frames as `file_shutter`; got {file_shutter}."
+        )
+    return file_shutter
+
+
+def _unpremultiply(raw: np.ndarray, alpha: np.ndarray | None, preset: Preset) -> np.ndarray:
+    if alpha is None:
+        raise ValueError(
+            f"preset `{preset.name}` stores vectors times alpha, and there is no alpha channel; "
+            "use preset `ndc` if they are not multiplied."
+        )
+    covered = alpha > 0
+    return np.where(covered, 1 / np.where(covered, alpha, 1), 0)[..., None] * raw
