@@ -33,3 +33,8 @@ from .presets import DepthKind as DepthKind
 from .presets import Layout as Layout
 from .presets import Preset as Preset
 from .presets import VectorPair as VectorPair
+from .rank import Candidate as Candidate
+from .rank import Ranking as Ranking
+from .rank import rank_conventions as rank_conventions
+from .statistics import SpeedStatistics as SpeedStatistics
+from .statistics import speed_statistics as speed_statistics

@@ -1,0 +1,232 @@
+"""Find out by measurement which convention motion vectors follow.
+
+Each candidate (which pair of channels, sign of x and y, unit, span) says where every point of
+a frame goes in the next one. The next frame is read there and compared with the frame: the right
+candidate makes the two agree on what moves.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from .guess import find_channels
+from .presets import PRESETS, Preset, Scale, VectorPair
+
+# Units of raw values: the name users know, and the scale of `Preset` it corresponds to.
+UNITS: dict[str, Scale] = {"px": "pixels", "uv": "size", "ndc": "half-size"}
+# Pixels to compare; more change the ranking no further and cost time.
+SAMPLE_LIMIT = 40_000
+# Occlusion and new highlights make a few differences huge; one pixel may not count for more.
+ERROR_CAP = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """One convention that was tried: ``forward = sign * (raw - offset) * unit / span``.
+
+    Attributes:
+        channels: names of the x and y channel.
+        sign_x: factor that makes the first component point forward in time, to the right.
+        sign_y: factor that makes the second point forward in time, down.
+        unit: "px", "uv" (fraction of the picture) or "ndc" (-1..1 over the picture).
+        offset: raw value of no motion.
+        span: length of time the vectors cover, frames: 1, or the exposure.
+        error: mean absolute difference on moving pixels, after x/(1+x); lower is better.
+        presets: presets that read such channels just so.
+    """
+
+    channels: tuple[str, str]
+    sign_x: int
+    sign_y: int
+    unit: str
+    offset: float
+    span: float
+    error: float
+    presets: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranking:
+    """All candidates, the best first.
+
+    Attributes:
+        candidates: sorted by error.
+        still_error: the same error if nothing moved; a best candidate that is not clearly
+            below it explains nothing.
+        moving_share: share of pixels with motion, 0..1.
+    """
+
+    candidates: tuple[Candidate, ...]
+    still_error: float
+    moving_share: float
+
+
+def rank_conventions(
+    frame_color: Float[np.ndarray, "height width channels"],
+    next_color: Float[np.ndarray, "height width channels"],
+    raw_vectors: Float[np.ndarray, "height width components"],
+    channels: Sequence[str] | None = None,
+    *,
+    shutter: float = 0.5,
+    size: tuple[int, int] | None = None,
+) -> Ranking:
+    """Rank sign, unit, span and channel pair of motion vectors by warping the next frame back.
+
+    Args:
+        frame_color: (H, W, C) linear light, the frame that the vectors belong to.
+        next_color: (H, W, C) the following frame.
+        raw_vectors: (H, W, 2 or 4) vectors as stored: x and y of each pair.
+        channels: their names; "0", "1", ... if None.
+        shutter: exposure that vectors might be given over, frames.
+        size: (height, width) of the full picture, if the arrays are a part of it.
+
+    Returns:
+        The ranking.
+
+    Raises:
+        ValueError: shapes do not fit, the exposure is not positive, or nothing moves.
+
+    Source: the photometric error of optical flow; candidates from the table of presets.
+    """
+    names = _checked(frame_color, next_color, raw_vectors, channels, shutter)
+    rows, columns, share = _moving(raw_vectors)
+    now, following = _compress(frame_color)[rows, columns], _compress(next_color)
+    size = size or (frame_color.shape[0], frame_color.shape[1])
+    candidates = []
+    for options in _options(raw_vectors, names, shutter):
+        pair, sign_x, sign_y, unit, offset, span = options
+        raw = raw_vectors[rows, columns, 2 * pair : 2 * pair + 2].astype(np.float64)
+        factor = np.array([sign_x, sign_y]) * _unit_pixels(unit, size) / span
+        if offset:
+            factor = factor * 2
+        forward = (raw - offset) * factor
+        error = _error(now, following, rows, columns, forward)
+        pair_names = (names[2 * pair], names[2 * pair + 1])
+        presets = _presets(pair_names, sign_x, sign_y, unit, offset, span)
+        candidates.append(Candidate(pair_names, sign_x, sign_y, unit, offset, span, error, presets))
+    candidates.sort(key=lambda candidate: candidate.error)
+    still = _error(now, following, rows, columns, np.zeros((len(rows), 2)))
+    return Ranking(tuple(candidates), still, share)
+
+
+def _checked(
+    frame_color: np.ndarray,
+    next_color: np.ndarray,
+    raw_vectors: np.ndarray,
+    channels: Sequence[str] | None,
+    shutter: float,
+) -> list[str]:
+    if frame_color.shape != next_color.shape or frame_color.ndim != 3:
+        raise ValueError(
+            "`frame_color` and `next_color` must have one shape (height, width, channels), got "
+            f"{frame_color.shape} and {next_color.shape}."
+        )
+    count = raw_vectors.shape[-1]
+    if raw_vectors.shape[:2] != frame_color.shape[:2] or count % 2 or count == 0:
+        raise ValueError(
+            f"`raw_vectors` must have shape {frame_color.shape[:2]} and pairs of components, got "
+            f"{raw_vectors.shape}."
+        )
+    if not (math.isfinite(shutter) and shutter > 0):
+        raise ValueError(f"`shutter` must be above 0, got {shutter}.")
+    names = [str(i) for i in range(count)] if channels is None else list(channels)
+    if len(names) != count:
+        raise ValueError(f"`channels` must name {count} components, got {len(names)}.")
+    return names
+
+
+def _moving(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Pick pixels whose vectors differ from rest: rows, columns, and their share."""
+    rest = 0.5 if _may_be_centered(raw) and _share_near(raw, 0.5) > _share_near(raw, 0.0) else 0.0
+    length = np.linalg.norm(np.where(np.isfinite(raw), raw, rest) - rest, axis=-1)
+    moving = np.isfinite(raw).all(axis=-1) & (length > 0.05 * np.percentile(length, 99.9))
+    rows, columns = np.nonzero(moving)
+    if not rows.size:
+        raise ValueError("nothing moves: all vectors are zero or not finite.")
+    step = -(-rows.size // SAMPLE_LIMIT)
+    return rows[::step], columns[::step], float(moving.mean())
+
+
+def _may_be_centered(raw: np.ndarray) -> bool:
+    finite = raw[np.isfinite(raw)]
+    return bool(finite.size and finite.min() >= 0 and finite.max() <= 1)
+
+
+def _share_near(raw: np.ndarray, value: float) -> float:
+    return float(np.mean(np.abs(raw - value) < 0.02))
+
+
+def _options(
+    raw: np.ndarray, names: Sequence[str], shutter: float
+) -> Iterator[tuple[int, int, int, str, float, float]]:
+    """Yield pair, sign of x, sign of y, unit, offset and span of every candidate."""
+    spans = sorted({1.0, shutter}, reverse=True)
+    signs = itertools.product((1, -1), (1, -1))
+    decodings = [(unit, 0.0) for unit in UNITS]
+    if _may_be_centered(raw):
+        decodings += [("uv", 0.5), ("ndc", 0.5)]
+    pairs = range(len(names) // 2)
+    for pair, (sign_x, sign_y), (unit, offset), span in itertools.product(
+        pairs, signs, decodings, spans
+    ):
+        yield pair, sign_x, sign_y, unit, offset, span
+
+
+def _unit_pixels(unit: str, size: tuple[int, int]) -> np.ndarray:
+    height, width = size
+    pixels = {"px": (1, 1), "uv": (width, height), "ndc": (width / 2, height / 2)}
+    return np.array(pixels[unit], dtype=float)
+
+
+def _compress(color: np.ndarray) -> np.ndarray:
+    """Bring highlights into 0..1, so that they do not decide alone."""
+    light = np.maximum(np.nan_to_num(color.astype(np.float32), posinf=1e6), 0)
+    return light / (1 + light)
+
+
+def _error(
+    now: np.ndarray, following: np.ndarray, rows: np.ndarray, columns: np.ndarray, to: np.ndarray
+) -> float:
+    """Compare pixels with where they went, read bilinearly inside the image."""
+    height, width, _ = following.shape
+    y = np.clip(rows + to[:, 1], 0, height - 1)
+    x = np.clip(columns + to[:, 0], 0, width - 1)
+    top, left = np.floor(y).astype(int), np.floor(x).astype(int)
+    bottom, right = np.minimum(top + 1, height - 1), np.minimum(left + 1, width - 1)
+    down, across = (y - top)[:, None], (x - left)[:, None]
+    upper = following[top, left] * (1 - across) + following[top, right] * across
+    lower = following[bottom, left] * (1 - across) + following[bottom, right] * across
+    warped = upper * (1 - down) + lower * down
+    return float(np.mean(np.minimum(np.abs(warped - now), ERROR_CAP)))
+
+
+def _presets(
+    names: tuple[str, str], sign_x: int, sign_y: int, unit: str, offset: float, span: float
+) -> tuple[str, ...]:
+    """List presets that read these channels so: by name, else all that a name may be given to."""
+
+    def same_meaning(preset: Preset, pair: VectorPair) -> bool:
+        return (
+            preset.scale == UNITS[unit]
+            and preset.offset == offset
+            and (preset.span == "frame") == (span == 1)
+            and (pair.time * pair.sign_x, pair.time * pair.sign_y) == (sign_x, sign_y)
+        )
+
+    matches = {
+        (preset.name, _is_called(pair, names), len(layout))
+        for preset in PRESETS.values()
+        for layout in preset.layouts
+        for pair in layout
+        if same_meaning(preset, pair)
+    }
+    by_name = [name for name in PRESETS if any(m[0] == name and m[1] for m in matches)]
+    return tuple(by_name or [name for name in PRESETS if (name, False, 1) in matches])
+
+
+def _is_called(pair: VectorPair, names: tuple[str, str]) -> bool:
+    return bool(find_channels(pair.x, names[:1]) and find_channels(pair.y, names[1:]))
