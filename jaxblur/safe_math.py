@@ -10,24 +10,27 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def safe_norm(vectors: Float[Array, "*shape axis"]) -> Float[Array, "*shape"]:
-    """Euclidean norm over the last axis, ``sqrt(sum_i v_i^2)``.
+def safe_norm(x: Float[Array, "*shape"], y: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Euclidean norm of the vectors ``(x, y)``, ``sqrt(x^2 + y^2)``.
 
-    Scaled by the largest component, so that 1e-20 does not underflow and 1e30 does not
-    overflow in float32. The derivative is ``v / ||v||``, and 0 where the norm is 0 or below the
-    smallest normal number (XLA flushes those to 0).
+    Components come as separate planes: a reduction over an axis of two would keep XLA from
+    fusing the kernels. Scaled by the larger component, so that 1e-20 does not underflow and 1e30
+    does not overflow in float32. The derivative is ``v / ||v||``, and 0 where the norm is 0 or
+    below the smallest normal number (XLA flushes those to 0).
 
     Args:
-        vectors: vectors along the last axis, any unit.
+        x: horizontal components, any unit.
+        y: vertical components, same unit.
 
     Returns:
         Norms in the same unit, >= 0.
     """
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vectors), axis=-1))
-    is_zero = largest < jnp.finfo(vectors.dtype).tiny
+    largest = jax.lax.stop_gradient(jnp.maximum(jnp.abs(x), jnp.abs(y)))
+    is_zero = largest < jnp.finfo(x.dtype).tiny
     scale = jnp.where(is_zero, 1, largest)
-    unit = jnp.where(is_zero[..., None], 1, vectors / scale[..., None])
-    return jnp.where(is_zero, 0, scale * jnp.sqrt(jnp.sum(unit * unit, axis=-1)))
+    unit_x = jnp.where(is_zero, 1, x / scale)
+    unit_y = jnp.where(is_zero, 1, y / scale)
+    return jnp.where(is_zero, 0, scale * jnp.sqrt(unit_x * unit_x + unit_y * unit_y))
 
 
 def safe_divide(
@@ -47,14 +50,17 @@ def safe_divide(
     return jnp.where(is_zero, otherwise, numerator / jnp.where(is_zero, 1, denominator))
 
 
-def safe_normalize(vectors: Float[Array, "*shape axis"]) -> Float[Array, "*shape axis"]:
-    """``v / ||v||`` along the last axis; 0 with derivative 0 at ``v = 0``.
+def safe_normalize(
+    x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """``v / ||v||`` of the vectors ``(x, y)``; 0 with derivative 0 at ``v = 0``.
 
     Args:
-        vectors: vectors along the last axis, any unit.
+        x: horizontal components, any unit.
+        y: vertical components, same unit.
 
     Returns:
-        Unit vectors, or zeros.
+        Components of unit vectors, or zeros.
     """
-    norm = safe_norm(vectors)[..., None]
-    return safe_divide(vectors, jnp.broadcast_to(norm, vectors.shape))
+    norm = safe_norm(x, y)
+    return safe_divide(x, norm), safe_divide(y, norm)

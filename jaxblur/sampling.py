@@ -163,7 +163,8 @@ def sum_samples(sample: Sample, count: int, operands: Any) -> Terms:
         A tuple of (H, W) sums. Differentiable in the operands, forward and reverse, to any order
         that the sample function is.
     """
-    terms = sample(jnp.arange(count), operands)
+    # What is computed once per pixel must not be computed again at every tap that reads it.
+    terms = sample(jnp.arange(count), lax.optimization_barrier(operands))
     zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
 
     def add(totals: Terms, more: Terms) -> Terms:

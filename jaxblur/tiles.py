@@ -33,7 +33,7 @@ def clamp_speed(
         The clamped velocity (H, W, 2), and its speed (H, W) in [0, radius]. All clamped vectors
         have the same speed to the bit, so that they tie in a tile maximum.
     """
-    speed = safe_norm(velocity)
+    speed = safe_norm(velocity[..., 0], velocity[..., 1])
     too_fast = speed > radius
     scale = jnp.where(too_fast, radius / jnp.where(too_fast, speed, 1), 1)
     return velocity * scale[..., None], jnp.minimum(speed, radius)
@@ -99,7 +99,8 @@ def tile_max(
         raise ValueError(f"`velocity` must have shape (height, width, 2), got {velocity.shape}.")
     if radius < 1:
         raise ValueError(f"`radius` must be at least 1, got {radius}.")
-    return velocity.reshape(-1, 2)[tile_argmax(safe_norm(velocity), radius)]
+    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+    return velocity.reshape(-1, 2)[tile_argmax(speed, radius)]
 
 
 def _shifted(tiles: jax.Array, offset: tuple[int, int], fill: float) -> jax.Array:
@@ -166,7 +167,8 @@ def neighbor_max(
     """
     if tiles.ndim != 3 or tiles.shape[-1] != 2:
         raise ValueError(f"`tiles` must have shape (rows, columns, 2), got {tiles.shape}.")
-    return tiles.reshape(-1, 2)[neighbor_argmax(tiles, safe_norm(tiles), diagonal)]
+    speed = safe_norm(tiles[..., 0], tiles[..., 1])
+    return tiles.reshape(-1, 2)[neighbor_argmax(tiles, speed, diagonal)]
 
 
 def dominant_velocity(
@@ -206,11 +208,11 @@ def tile_variance(tiles: Float[Array, "rows columns 2"]) -> Float[Array, "rows c
     Returns:
         (rows, columns) in [0, 1]; 0 where all directions agree.
     """
-    direction = safe_normalize(tiles)
-    still = jnp.all(direction == 0, axis=-1)
+    x, y = safe_normalize(tiles[..., 0], tiles[..., 1])
+    still = (x == 0) & (y == 0)
     aligned, count = 0.0, 0.0
     for offset in RING:
-        dot = jnp.abs(jnp.sum(direction * _shifted(direction, offset, 0), axis=-1))
+        dot = jnp.abs(x * _shifted(x, offset, 0) + y * _shifted(y, offset, 0))
         dot = jnp.where(still | _shifted(still, offset, False), 1, dot)
         inside = _shifted(jnp.ones_like(dot), offset, 0)
         aligned, count = aligned + inside * dot, count + inside

@@ -91,17 +91,16 @@ def _weight(distance, second, direction, sample, pixel, sharpness):
 
 def _sample(size, settings, index, operands):
     """Weighted color, weight and count of a tap (passes 7 and 8)."""
-    pixel, reach = operands["pixel"], operands["reach"]
     position = tap_position(index, settings.samples, operands["jitter"])
     second = _to_second_direction(index, settings, operands["share"])
     direction = [jnp.where(second, *pair) for pair in operands["directions"]]
-    along = position * reach
+    along = position * operands["reach"]
     texels = read_position(along * direction[0], along * direction[1], size, settings.border)
     read = {
         name: read_nearest(plane.reshape(-1), texels.index)
         for name, plane in operands["table"].items()
     }
-    table = operands["table"] | {"alignment": pixel}
+    table = operands["table"] | {"alignment": operands["alignment"]}
     weight = _weight(jnp.abs(along), second, direction, read, table, operands["sharpness"])
     weight = jnp.where(texels.counts, weight, 0)
     colors = read_color(operands["color"], texels, size, settings.fetch)
@@ -114,21 +113,21 @@ def _directions(velocity, speed, dominant, gamma):
     ``w_c = normalize((1 - a) w_p + a v / ||v||)``, ``a = clip((||v|| - 0.5) / gamma, 0, 1)``,
     w_p the perpendicular of the dominant direction on the side of v [eq. 3.1, departure 2].
     """
-    along = safe_normalize(dominant)
-    across = jnp.stack([-along[..., 1], along[..., 0]], axis=-1)
-    faces_away = jnp.sum(across * velocity, axis=-1, keepdims=True) < 0
-    across = jnp.where(faces_away, -across, across)
-    own_share = jnp.clip((speed[..., None] - SPEED_FLOOR) / gamma, 0, 1)
-    center = safe_normalize((1 - own_share) * across + own_share * safe_normalize(velocity))
-    return along, center
+    along_x, along_y = safe_normalize(*dominant)
+    side = jnp.where(along_x * velocity[1] < along_y * velocity[0], -1, 1)
+    own_share = jnp.clip((speed - SPEED_FLOOR) / gamma, 0, 1)
+    own_x, own_y = safe_normalize(*velocity)
+    center_x = own_share * own_x - (1 - own_share) * side * along_y
+    center_y = own_share * own_y + (1 - own_share) * side * along_x
+    return (along_x, along_y), safe_normalize(center_x, center_y)
 
 
 def _pixel_terms(frame, velocity, speed, noise, parameters, settings):
     """What a tap needs and what does not depend on the tile that is read."""
     inverse_speed = 1 / floored_speed(speed)
     table = {
-        "x": velocity[..., :1] * inverse_speed[..., None],
-        "y": velocity[..., 1:] * inverse_speed[..., None],
+        "x": (velocity[0] * inverse_speed)[..., None],
+        "y": (velocity[1] * inverse_speed)[..., None],
         "inverse_speed": inverse_speed[..., None],
         "depth": finite_depth(frame.depth)[..., None],
     }
@@ -144,10 +143,11 @@ def _pixel_terms(frame, velocity, speed, noise, parameters, settings):
 def _reconstruct(frame, velocity, speed, dominant, share, terms, parameters, settings):
     """Gather along the two directions of every pixel, for one choice of tile (passes 5 to 10)."""
     along, center = _directions(velocity, speed, dominant, parameters.gamma)
-    reach = safe_norm(dominant)
+    reach = safe_norm(*dominant)
+    alignment = jnp.abs(along[0] * center[0] + along[1] * center[1])
     operands = terms | {
-        "directions": [(center[..., k : k + 1], along[..., k : k + 1]) for k in (0, 1)],
-        "pixel": jnp.abs(jnp.sum(along * center, axis=-1, keepdims=True)),
+        "directions": [(c[..., None], a[..., None]) for c, a in zip(center, along, strict=True)],
+        "alignment": alignment[..., None],
         "reach": reach[..., None],
         "share": share[..., None],
     }
@@ -201,11 +201,12 @@ def guertin2014(
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
     tiles = dominant_velocity(velocity, speed, settings.radius, "reaching")
+    velocity = velocity[..., 0], velocity[..., 1]
     share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
     terms = _pixel_terms(frame, velocity, speed, noise, parameters, settings)
 
     def blur(tile):
-        dominant = tiles.reshape(-1, 2)[tile]
+        dominant = tiles[..., 0].reshape(-1)[tile], tiles[..., 1].reshape(-1)[tile]
         return _reconstruct(frame, velocity, speed, dominant, share, terms, parameters, settings)
 
     if settings.tile_choice == "expected":

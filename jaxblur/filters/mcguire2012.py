@@ -50,7 +50,7 @@ def _sample(size, settings, index, operands):
     texels = read_position(offset_x, offset_y, size, settings.border)
     if settings.fetch == "nearest":
         offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
-    distance = safe_norm(jnp.stack([offset_x, offset_y], axis=-1))
+    distance = safe_norm(offset_x, offset_y)
     depth, inverse_speed = operands["table"]
     inverse_sample = read_nearest(inverse_speed.reshape(-1), texels.index)
     depth_sample = read_nearest(depth.reshape(-1), texels.index)
@@ -121,5 +121,5 @@ def mcguire2012(
     *colors, weight = sum_samples(sample, settings.samples - 1, operands)
     total = jnp.stack(colors, axis=-1) + frame.color * inverse_speed[..., None]
     blurred = total / (weight + inverse_speed)[..., None]
-    still = safe_norm(dominant) <= SPEED_FLOOR
+    still = safe_norm(dominant[..., 0], dominant[..., 1]) <= SPEED_FLOOR
     return jnp.where(still[..., None], frame.color, blurred)
