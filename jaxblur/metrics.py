@@ -1,9 +1,9 @@
 """Image metrics, each with its convention stated: PSNR, SSIM, FLIP, relative MSE, temporal error.
 
-Figures in this project are made one way: keep RGB, apply :func:`srgb_encode`, clip to [0, 1],
-peak 1. :func:`compare` does that on linear images. The other functions take images as they are,
-so that they also serve as losses; all but :func:`flip` are differentiable JAX functions, with
-reverse and forward derivatives that stay finite where two images agree.
+Figures in this project are made one way, by :func:`display`: keep RGB, apply the exact sRGB
+curve, clip to [0, 1], peak 1. :func:`compare` does that on linear images. The other functions
+take images as they are, so that they also serve as losses; all but :func:`flip` are
+differentiable JAX functions whose derivatives stay finite where two images agree.
 
 ``mask`` is an (H, W) array of booleans that limits a mean to some pixels. A mask without any
 pixel gives NaN, except in :func:`compare`, which refuses it.
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from . import srgb
 from .frame import Frame
 
 Image = Float[jax.Array | np.ndarray, "height width channels"]
@@ -27,49 +28,34 @@ SSIM_SIGMA = 1.5
 RELATIVE_FLOOR = 1e-2
 
 
-def srgb_encode(linear: Float[jax.Array | np.ndarray, "..."]) -> Float[jax.Array, "..."]:
-    """Encode linear light with the exact piecewise sRGB curve.
-
-    12.92 x up to x = 0.0031308, then 1.055 x^(1/2.4) - 0.055. Values are not clipped; negative
-    ones follow the straight piece.
+def rgb(image: Image) -> Float[jax.Array, "height width 3"]:
+    """Keep the color channels alone.
 
     Args:
-        linear: linear light, any shape, Rec.709 primaries.
+        image: (H, W, C). Of more than three channels the first three are taken, which for
+            premultiplied RGBA is the image over black; one channel becomes gray.
 
     Returns:
-        The encoded values, same shape. The derivative at the joint is that of the straight piece.
+        (H, W, 3), values as they are.
 
-    Source: IEC 61966-2-1:1999.
+    Raises:
+        ValueError: the image does not have 1 or at least 3 channels.
     """
-    linear = jnp.asarray(linear)
-    straight = linear <= 0.0031308
-    base = jnp.where(straight, 1.0, linear)
-    return jnp.where(straight, 12.92 * linear, 1.055 * base ** (1 / 2.4) - 0.055)
-
-
-def srgb_decode(encoded: Float[jax.Array | np.ndarray, "..."]) -> Float[jax.Array, "..."]:
-    """Invert :func:`srgb_encode`: sRGB values back to linear light.
-
-    Args:
-        encoded: sRGB values, any shape.
-
-    Returns:
-        Linear light, same shape.
-
-    Source: IEC 61966-2-1:1999.
-    """
-    encoded = jnp.asarray(encoded)
-    straight = encoded <= 0.04045
-    base = jnp.where(straight, 1.0, (encoded + 0.055) / 1.055)
-    return jnp.where(straight, encoded / 12.92, base**2.4)
+    image = jnp.asarray(image)
+    channels = image.shape[-1]
+    if channels in (0, 2):
+        raise ValueError(
+            f"`image` must have 1 or at least 3 channels, got shape {image.shape}; "
+            "pass the color channels alone."
+        )
+    return image[..., :3] if channels >= 3 else jnp.repeat(image, 3, axis=-1)
 
 
 def display(image: Image) -> Float[jax.Array, "height width 3"]:
-    """The stated display transform: RGB only, sRGB curve, clipped to [0, 1].
+    """The stated display transform: RGB only, exact sRGB curve, clipped to [0, 1].
 
     Args:
-        image: (H, W, C) linear light. Of more than three channels the first three are taken,
-            which for premultiplied RGBA is the image over black; one channel becomes gray.
+        image: (H, W, C) linear light, channels as :func:`rgb` takes them.
 
     Returns:
         (H, W, 3) display values in [0, 1]. The derivative is 0 beyond the clip.
@@ -77,15 +63,7 @@ def display(image: Image) -> Float[jax.Array, "height width 3"]:
     Raises:
         ValueError: the image does not have 1 or at least 3 channels.
     """
-    image = jnp.asarray(image)
-    channels = image.shape[-1]
-    if image.ndim != 3 or channels in (0, 2):
-        raise ValueError(
-            "`image` must have shape (height, width, channels) with 1 or at least 3 channels, "
-            f"got {image.shape}; pass the color channels alone."
-        )
-    rgb = image[..., :3] if channels >= 3 else jnp.repeat(image, 3, axis=-1)
-    return jnp.clip(srgb_encode(rgb), 0.0, 1.0)
+    return jnp.clip(srgb.encode(rgb(image)), 0.0, 1.0)
 
 
 def mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:

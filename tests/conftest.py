@@ -1,0 +1,44 @@
+"""Options, shared fixtures, and run-time type checks of the kernels."""
+
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+# Installed before anything imports these modules: beartype then checks the array annotations.
+install_import_hook(
+    [
+        "jaxblur.filters",
+        "jaxblur.metrics",
+        "jaxblur.noise",
+        "jaxblur.safe_math",
+        "jaxblur.sampling",
+        "jaxblur.tiles",
+        "jaxblur.weights",
+    ],
+    "beartype.beartype",
+)
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--reference-data",
+        type=Path,
+        metavar="DIR",
+        help="folder of scenes rendered with true motion blur; without it their tests skip",
+    )
+
+
+def pytest_configure(config):
+    folder = config.getoption("--reference-data")
+    if folder is not None and not folder.is_dir():
+        raise pytest.UsageError(f"--reference-data: {folder} is not a folder")
+
+
+@pytest.fixture(scope="session")
+def reference_data(request) -> Path:
+    """The folder of rendered scenes, one sub-folder each; skips the test where not given."""
+    folder = request.config.getoption("--reference-data")
+    if folder is None:
+        pytest.skip("needs rendered scenes: pass --reference-data DIR")
+    return folder

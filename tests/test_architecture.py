@@ -1,0 +1,111 @@
+"""Which module may import which: the layers, the independence of the judges, a light start."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "jaxblur"
+
+LOWEST = {"frame", "safe_math", "noise", "settings", "srgb"}
+OPERATORS = {"tiles", "weights", "sampling"}
+CORE = LOWEST | OPERATORS | {"filters"}
+# Ground truth and metrics share no code with the filters: a shared mistake would pass.
+JUDGES = {"scenes", "metrics"}
+FILES = {"vectors", "exr", "pictures", "sequence"}
+TOP = {"cli", "demo", "__main__"}
+
+MAY_IMPORT = {
+    **dict.fromkeys(LOWEST | OPERATORS | JUDGES, LOWEST),
+    "filters": LOWEST | OPERATORS,
+    "vectors": LOWEST,
+    "exr": LOWEST | {"vectors"},
+    "pictures": LOWEST | {"exr", "metrics"},
+    "sequence": LOWEST | {"exr", "vectors"},
+    "fit": CORE | JUDGES,
+    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fit"}),
+    "__main__": {"cli"},
+}
+
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+def home(source):
+    """The top-level module or sub-package that a file belongs to."""
+    return source.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(source):
+    """Every module that a file imports anywhere, absolute, down to imported names."""
+    folder = ("jaxblur", *source.relative_to(PACKAGE).parts[:-1])
+    names = set()
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = folder[: len(folder) - node.level + 1] if node.level else ()
+            module = ".".join((*base, *([node.module] if node.module else [])))
+            names |= {f"{module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def own_modules(source):
+    """The top-level modules of jaxblur that a file imports."""
+    return {name.split(".")[1] for name in imported(source) if name.startswith("jaxblur.")}
+
+
+def test_relative_imports_are_resolved(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
+    source = tmp_path / "filters" / "new.py"
+    source.parent.mkdir()
+    source.write_text(
+        "from ..frame import Frame\nfrom . import other\nfrom .. import cli\nimport jax\n"
+    )
+    assert imported(source) == {
+        "jaxblur.frame.Frame",
+        "jaxblur.filters.other",
+        "jaxblur.cli",
+        "jax",
+    }
+    assert own_modules(source) == {"frame", "filters", "cli"}
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_every_module_imports_only_what_its_layer_may(source):
+    module = home(source)
+    if module == "__init__":
+        assert own_modules(source) == set(), "public names load lazily, through __init__.pyi"
+        return
+    assert module in MAY_IMPORT, f"give {module} its place in the layers of this test"
+    forbidden = own_modules(source) - MAY_IMPORT[module] - {module}
+    assert not forbidden, f"{module} must not import {', '.join(sorted(forbidden))}"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [source for source in SOURCES if home(source) in CORE | JUDGES],
+    ids=lambda path: path.relative_to(PACKAGE).as_posix(),
+)
+def test_kernels_and_judges_need_neither_optimizer_nor_files(source):
+    outside = {name.split(".")[0] for name in imported(source)}
+    assert not outside & {"optax", "OpenImageIO", "matplotlib", "rich"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["-c", "import jaxblur"], ["-m", "jaxblur", "--help"], ["-m", "jaxblur", "--version"]],
+    ids=["import", "help", "version"],
+)
+def test_a_start_that_computes_nothing_does_not_load_jax(arguments):
+    result = subprocess.run(
+        [sys.executable, "-X", "importtime", *arguments],
+        cwd=PACKAGE.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = {line.split("|")[-1].strip() for line in result.stderr.splitlines()}
+    assert "jaxblur" in loaded
+    assert not loaded & {"jax", "jaxlib", "OpenImageIO", "scipy"}
