@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 import numpy as np
 from jaxtyping import Float
 
-from jaxblur import vectors
+from jaxblur import srgb, vectors
 
 from .choose import choose_color, choose_depth, choose_vectors
 from .files import (
@@ -20,7 +20,6 @@ from .files import (
     inspect,
     read_channels,
 )
-from .srgb import from_srgb
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
@@ -159,12 +158,14 @@ def read_buffers(
     raw = _read_data(vector_info, guess.channels, info, color)
     raw = _finite(raw, vector_info.path, guess.channels, non_finite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
-    displacements = _decode(vector_info, guess, raw, alpha, max_displace, file_shutter)
-    velocity, curve = vectors.to_half_spread(displacements, shutter)
+    # Damaged values overflow here; the check below or the caller's statistics report them.
+    with np.errstate(invalid="ignore", over="ignore"):
+        displacements = _decode(vector_info, guess, raw, alpha, max_displace, file_shutter)
+        velocity, curve = vectors.to_half_spread(displacements, shutter)
     if non_finite != "keep":
         _check_speed(velocity, vector_info.path, guess)
 
-    kind = guess.preset.depth if depth == "auto" else depth
+    kind = _depth_kind(depth, guess, path)
     if kind == "flat":
         flat = np.ones(color.shape[:2], np.float32)
         return Buffers(color, flat, velocity, curve, group.channels, None, kind, guess)
@@ -202,7 +203,7 @@ def read_image(
     if info.channel(group.channels[0]).type not in ("uint8", "uint16"):
         return image
     encoded = [i for i, name in enumerate(group.channels) if name != group.alpha]
-    image[..., encoded] = from_srgb(image[..., encoded])
+    image[..., encoded] = srgb.decode(image[..., encoded])
     return image
 
 
@@ -234,7 +235,8 @@ def to_distance(
     elif kind == "1/z":
         far = (values >= SKY_DEPTH) & np.isfinite(values)
         _refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
-        distance = 1 / np.where(hit, values, 1)
+        with np.errstate(over="ignore"):
+            distance = 1 / np.where(hit, values, np.float32(1))
     else:
         distance = values
     return np.where(hit, distance, np.inf).astype(np.float32)
@@ -256,6 +258,21 @@ def _check_arguments(preset: str, shutter: float, depth: str, non_finite: str) -
         raise ValueError(f"`depth` must be auto or one of {', '.join(DEPTH_KINDS)}; got {depth!r}.")
     if non_finite not in ("error", "zero", "keep"):
         raise ValueError(f"`non_finite` must be error, zero or keep; got {non_finite!r}.")
+
+
+def _depth_kind(depth: str, guess: vectors.Guess, path: PathLike) -> str:
+    """Settle "auto"; warn where it means more than a plain distance."""
+    if depth != "auto":
+        return depth
+    kind = guess.preset.depth
+    if kind != "z":
+        warnings.warn(
+            f"{path}: depth is read as {kind}, as {guess.preset.name} usually writes it; pass "
+            f"depth='{kind}' or depth='z' to settle it.",
+            JaxblurIOWarning,
+            stacklevel=3,
+        )
+    return kind
 
 
 def _read_data(

@@ -1,18 +1,19 @@
 """Write images: atomically, with the windows, metadata and other channels of a model file."""
 
-import contextlib
 import dataclasses
 import os
 import pathlib
-import secrets
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
+from jaxblur import srgb
+
+from .atomic import check, replacing, writer
 from .choose import choose_color
 from .files import (
     FileInfo,
@@ -25,7 +26,6 @@ from .files import (
     read_span,
 )
 from .header import relabel_as_uint
-from .srgb import to_srgb
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
@@ -89,7 +89,7 @@ def write_image(
             names = choose_color(info, layer, color_channels).channels
             _check_model(path, pixels, info, names)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
-            with _replacing(path) as temporary:
+            with replacing(path) as temporary:
                 _write_parts(path, temporary, source, info, plans, pixels)
 
 
@@ -126,8 +126,8 @@ def write_channels(
     pixels = np.stack(list(arrays.values()), axis=-1)
     half = [index for index, kind in enumerate(kinds) if kind == "half"]
     pixels[..., half] = _clamp_half(path, pixels[..., half])
-    with _replacing(path) as temporary, _writer(path, temporary, [spec]) as output:
-        _checked(path, output, output.write_image(pixels))
+    with replacing(path) as temporary, writer(path, temporary, [spec]) as output:
+        check(path, output, output.write_image(pixels))
 
 
 def write_frame(
@@ -228,7 +228,7 @@ def _plan_part(
     )
     kinds = [channel.type for channel in kept]
     for position, _ in replaced:
-        kinds[position] = dtype or kinds[position]
+        kinds[position] = dtype or ("half" if kinds[position] == "half" else "float")
     uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if replaced else ()
     header = oiio.ImageSpec(spec)
     header.nchannels = len(kept)
@@ -253,13 +253,13 @@ def _write_parts(
     image: np.ndarray,
 ) -> None:
     specs = [plan.spec for plan in plans]
-    with _writer(path, temporary, specs) as output:
+    with writer(path, temporary, specs) as output:
         for position, plan in enumerate(plans):
             if position:
-                _checked(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
+                check(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
             if plan.color:
                 pixels = _merged(path, source, info, plan, image)
-                _checked(path, output, output.write_image(pixels))
+                check(path, output, output.write_image(pixels))
             else:
                 source.seek_subimage(plan.part, 0)
                 _copy_part(path, source, info, output)
@@ -287,9 +287,16 @@ def _merged(
 
 
 def _copy_part(path: PathLike, source: Any, info: FileInfo, output: Any) -> None:
-    if not output.copy_image(source):
-        failure = JaxblurIOError(info.path, f"a part cannot be copied: {pending_message(source)}.")
-        raise JaxblurIOError(path, f"{pending_message(output)}") from failure
+    try:
+        copied = output.copy_image(source)
+    except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError):
+        copied = False
+    if not copied:
+        name = info.parts[source.current_subimage()].name
+        messages = f"{pending_message(source)}; {pending_message(output)}"
+        raise JaxblurIOError(
+            path, f"part {name!r} of {info.path} cannot be copied ({messages}); pass extra='drop'."
+        )
 
 
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
@@ -355,9 +362,9 @@ def _write_png(
     spec = oiio.ImageSpec(width, height, channels, "uint8")
     spec.attribute("oiio:ColorSpace", "sRGB")
     _set_attributes(spec, attributes)
-    pixels = np.round(to_srgb(color) * 255).astype(np.uint8)
-    with _replacing(path) as temporary, _writer(path, temporary, [spec]) as output:
-        _checked(path, output, output.write_image(pixels))
+    pixels = np.round(srgb.encode(np.clip(color, 0, 1)) * 255).astype(np.uint8)
+    with replacing(path) as temporary, writer(path, temporary, [spec]) as output:
+        check(path, output, output.write_image(pixels))
 
 
 def _set_formats(spec: Any, kinds: Sequence[str]) -> None:
@@ -366,60 +373,11 @@ def _set_formats(spec: Any, kinds: Sequence[str]) -> None:
     mixed = len(set(kinds)) > 1
     spec.channelformats = [oiio.TypeDesc(kind) for kind in kinds] if mixed else []
     names = list(spec.channelnames)
-    spec.alpha_channel = names.index("A") if "A" in names else -1
+    is_alpha = [name.rpartition(".")[2] == "A" for name in names]
+    spec.alpha_channel = is_alpha.index(True) if True in is_alpha else -1
     spec.z_channel = -1
 
 
 def _set_attributes(spec: Any, attributes: Mapping[str, str | int | float] | None) -> None:
     for name, value in (attributes or {}).items():
         spec.attribute(name, value)
-
-
-@contextlib.contextmanager
-def _replacing(path: PathLike) -> Iterator[str]:
-    """Give a hidden temporary name; put the file in place if the body succeeds, else remove it."""
-    target = pathlib.Path(path)
-    if target.is_dir():
-        raise JaxblurIOError(path, "is a folder; give a file name.")
-    temporary = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
-    try:
-        # Created here, so that the file gets the permissions that the umask leaves.
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        yield os.fspath(temporary)
-        _sync(temporary)
-        os.replace(temporary, target)
-        _sync(target.parent)
-    except OSError as error:
-        raise JaxblurIOError(path, f"cannot be written: {error.strerror or error}.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _sync(path: pathlib.Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextlib.contextmanager
-def _writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any]:
-    """Open a writer for one or several parts; check opening and closing."""
-    output = oiio.ImageOutput.create(temporary)
-    if output is None:
-        raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
-    first = specs[0] if len(specs) == 1 else tuple(specs)
-    _checked(path, output, output.open(temporary, first))
-    try:
-        yield output
-    except BaseException:
-        output.close()
-        pending_message(output)
-        raise
-    _checked(path, output, output.close())
-
-
-def _checked(path: PathLike, output: Any, succeeded: bool) -> None:
-    if not succeeded:
-        raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")

@@ -44,7 +44,8 @@ def speed_statistics(
     Returns:
         The figures.
     """
-    speed = np.hypot(velocity[..., 0], velocity[..., 1]).astype(np.float64)
+    x, y = np.moveaxis(velocity.astype(np.float64), -1, 0)
+    speed = np.hypot(x, y)
     finite = speed[np.isfinite(speed)]
     values = np.percentile(finite, PERCENTILES) if finite.size else np.zeros(len(PERCENTILES))
     steps = max(1, math.ceil(values[-1] / RADIUS_STEP))

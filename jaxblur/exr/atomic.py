@@ -1,0 +1,94 @@
+"""Write a file whole or not at all."""
+
+import contextlib
+import os
+import pathlib
+import secrets
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import OpenImageIO as oiio
+
+from .files import JaxblurIOError, PathLike, pending_message
+
+
+@contextlib.contextmanager
+def replacing(path: PathLike) -> Iterator[str]:
+    """Give a hidden temporary name in the same folder; put it in place if the body succeeds.
+
+    Args:
+        path: the file to be written; an older one stays as it was until the new one is whole.
+
+    Yields:
+        The temporary name, with the extension of ``path``, of an empty file.
+
+    Raises:
+        JaxblurIOError: ``path`` is a folder, or the disk refused; the temporary file is gone.
+    """
+    target = pathlib.Path(path)
+    if target.is_dir():
+        raise JaxblurIOError(path, "is a folder; give a file name.")
+    temporary = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
+    try:
+        # Created here, so that the file gets the permissions that the umask leaves.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield os.fspath(temporary)
+        _sync(temporary)
+        os.replace(temporary, target)
+        _sync(target.parent)
+    except OSError as error:
+        raise JaxblurIOError(path, f"cannot be written: {error.strerror or error}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync(path: pathlib.Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any]:
+    """Open a writer for one or several parts; check opening and closing.
+
+    Args:
+        path: the final name, for messages.
+        temporary: the file to write.
+        specs: headers of the parts.
+
+    Yields:
+        An ``OpenImageIO.ImageOutput``, open for the first part.
+
+    Raises:
+        JaxblurIOError: opening or closing failed.
+    """
+    output = oiio.ImageOutput.create(temporary)
+    if output is None:
+        raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
+    first = specs[0] if len(specs) == 1 else tuple(specs)
+    check(path, output, output.open(temporary, first))
+    try:
+        yield output
+    except BaseException:
+        output.close()
+        pending_message(output)
+        raise
+    check(path, output, output.close())
+
+
+def check(path: PathLike, output: Any, succeeded: bool) -> None:
+    """Turn a failure that a writer reports into an error.
+
+    Args:
+        path: the final name, for messages.
+        output: the writer.
+        succeeded: what its method returned.
+
+    Raises:
+        JaxblurIOError: it failed.
+    """
+    if not succeeded:
+        raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")
