@@ -1,0 +1,328 @@
+"""Vector conventions: every preset by hand, recognition, refusals, ranking by warping."""
+
+import numpy as np
+import pytest
+
+from jaxblur import exr, vectors
+from tests.exr_files import CUBE, CUBE_NEXT
+
+SIZE = (10, 20)
+
+
+def convert(preset, raw, *, names=None, shutter=0.5, **options):
+    """Half-spread and path of one pixel with the given raw channels."""
+    layout = next(
+        layout for layout in vectors.PRESETS[preset].layouts if 2 * len(layout) == len(raw)
+    )
+    names = names or [name for pair in layout for name in (pair.x, pair.y)]
+    guess = vectors.assign_channels(preset, names)
+    values = np.array(raw, np.float32)[None, None]
+    displacements = vectors.to_displacements(values, guess, size=SIZE, **options)
+    velocity, path = vectors.to_half_spread(displacements, shutter)
+    return velocity[0, 0], None if path is None else path[0, 0]
+
+
+# A point that moves 8 px right and 4 px down per frame in a picture of 20 x 10 pixels, as each
+# renderer would store it. The half-spread at shutter 0.5 is a quarter of that.
+HAND_CHECKED = {
+    "jaxblur": ([8, 4], {}),
+    "nuke": ([8, -4], {}),
+    "arnold": ([2, -1], {"file_shutter": 0.25}),
+    "vray": ([0.5 + 8 / 40, 0.5 - 4 / 40], {"max_displace": 20}),
+    "redshift": ([8, -4], {}),
+    "renderman": ([4, 2], {"file_shutter": 0.5}),
+    "karma": ([0.2, -0.2], {"file_shutter": 0.5}),
+    "moonray": ([0.4, -0.4], {"alpha": np.array([[0.5]])}),
+    "terragen": ([4, -2], {"file_shutter": 0.5}),
+    "unreal": ([0.5 + 0.2, 0.5 - 0.2], {}),
+    "unity": ([0.4, -0.4], {}),
+    "fsr2": ([-8, -4], {}),
+    "falcor": ([-0.4, -0.4], {}),
+    "dlss": ([-0.4, -0.4], {}),
+    "rsmb8": ([(127 - 127 * 8 / 16) / 255, (127 + 127 * 4 / 16) / 255], {"max_displace": 16}),
+    "rsmb16": (
+        [(32767 - 32767 * 8 / 16) / 65535, (32767 + 32767 * 4 / 16) / 65535],
+        {"max_displace": 16},
+    ),
+    "toxik": ([8, -4], {}),
+    "fusion": ([8, -4], {}),
+    "flo": ([8, 4], {}),
+    "pixel": ([8, 4], {}),
+    "uv": ([0.4, 0.4], {}),
+    "ndc": ([0.8, -0.8], {}),
+}
+
+
+@pytest.mark.parametrize("preset", [name for name in vectors.PRESETS if name != "blender"])
+def test_a_hand_checked_vector_of_every_preset(preset):
+    raw, options = HAND_CHECKED[preset]
+    velocity, path = convert(preset, raw, **options)
+    np.testing.assert_allclose(velocity, [2, 1], atol=2e-6)
+    assert path is None
+
+
+@pytest.mark.parametrize(
+    ("preset", "raw"),
+    [
+        ("blender", [-8, 4, -8, 4]),
+        ("nuke", [-8, 4, 8, -4]),
+        ("jaxblur", [-8, -4, 8, 4]),
+    ],
+)
+def test_a_straight_path_from_both_sides(preset, raw):
+    velocity, path = convert(preset, raw)
+    np.testing.assert_allclose(velocity, [2, 1])
+    np.testing.assert_allclose(path, [[-2, -1], [2, 1]])
+
+
+def test_blender_path_is_the_parabola_through_three_positions():
+    # Previous position (-6, 1), next (10, 3), in rows that run down.
+    velocity, path = convert("blender", [-6, -1, -10, 3], shutter=1.0)
+    np.testing.assert_allclose(velocity, [4, 0.5])
+    np.testing.assert_allclose(path, [[-3.5, 0], [4.5, 1]])
+    _, full = convert("blender", [-6, -1, -10, 3], shutter=2.0)
+    np.testing.assert_allclose(full, [[-6, 1], [10, 3]])
+
+
+@pytest.mark.parametrize("preset", ["fsr2", "unreal", "rsmb8"])
+def test_past_motion_is_reused_for_the_future(preset):
+    raw, options = HAND_CHECKED[preset]
+    layout = vectors.PRESETS[preset].layouts[0]
+    assert [pair.time for pair in layout] == [-1]
+    guess = vectors.assign_channels(preset, ["a", "b"])
+    raw = np.array(raw, np.float32)[None, None]
+    displacements = vectors.to_displacements(raw, guess, size=SIZE, **options)
+    assert displacements.next is None and displacements.previous is not None
+    np.testing.assert_allclose(displacements.previous[0, 0], [-8, -4], atol=1e-5)
+
+
+def test_each_component_moves_alone_and_the_right_way():
+    for raw, expected in (([1, 0], [0.25, 0]), ([0, 1], [0, 0.25])):
+        np.testing.assert_array_equal(convert("pixel", raw)[0], expected)
+        np.testing.assert_array_equal(convert("fusion", raw)[0], expected * np.array([1, -1]))
+
+
+def test_the_half_spread_is_proportional_to_the_shutter():
+    for shutter in (0.0, 0.25, 1.0, 2.0):
+        np.testing.assert_allclose(
+            convert("pixel", [8, 4], shutter=shutter)[0], [4 * shutter, 2 * shutter]
+        )
+
+
+def test_moonray_vectors_without_coverage_are_still():
+    velocity, _ = convert("moonray", [0.4, -0.4], alpha=np.array([[0.0]]))
+    np.testing.assert_array_equal(velocity, [0, 0])
+
+
+def test_float32_stays_float32():
+    velocity, path = convert("blender", [-8, 4, -8, 4])
+    assert velocity.dtype == np.float32
+    assert path is not None and path.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("preset", "options", "message"),
+    [
+        ("rsmb8", {}, "`rsmb8` needs `max_displace`"),
+        ("vray", {"max_displace": -1}, "`vray` needs `max_displace`"),
+        ("arnold", {}, "exposure in frames as `file_shutter`; got None"),
+        ("moonray", {}, "there is no alpha channel"),
+        ("pixel", {"shutter": -0.5}, "`shutter` must be a fraction of a frame"),
+        ("pixel", {"shutter": float("nan")}, "got nan"),
+    ],
+)
+def test_missing_arguments_are_refused(preset, options, message):
+    with pytest.raises(ValueError, match=message):
+        convert(preset, [0, 0], **options)
+
+
+def test_displacements_without_a_side_are_refused():
+    with pytest.raises(ValueError, match="previous or the next side"):
+        vectors.to_half_spread(vectors.Displacements(None, None), 0.5)
+
+
+BLENDER = [f"ViewLayer.Vector.{axis}" for axis in "XYZW"]
+NUKE = ["backward.u", "backward.v", "forward.u", "forward.v"]
+
+
+@pytest.mark.parametrize(
+    ("names", "preset", "channels"),
+    [
+        (["R", *BLENDER], "blender", BLENDER),
+        (["View Layer.Vector.W", *(f"View Layer.Vector.{a}" for a in "ZYX")], "blender", None),
+        (["Vector.W", "Vector.X", "Vector.Y", "Vector.Z"], "blender", None),
+        (["My.Layer.001.Vector.W", *(f"My.Layer.001.Vector.{a}" for a in "XYZ")], "blender", None),
+        (["R", "G", "B", *NUKE], "nuke", NUKE),
+        (["motion.forward.u", "motion.forward.v"], "nuke", None),
+        (["motionvector.X", "motionvector.Y"], "arnold", None),
+        (["velocity.R", "velocity.G", "velocity.B"], "vray", ["velocity.R", "velocity.G"]),
+        (["MotionVectors.R", "MotionVectors.G"], "redshift", None),
+        (["motionBack.x", "motionBack.y"], "renderman", None),
+        (["motionvec.R", "motionvec.G"], "moonray", None),
+        (["tgSurf2dMotion.R", "tgSurf2dMotion.G"], "terragen", None),
+        (
+            [
+                "FinalImageMovieRenderQueue_MotionVectors.R",
+                "FinalImageMovieRenderQueue_MotionVectors.G",
+            ],
+            "unreal",
+            None,
+        ),
+        (["mv2DToxik.R", "mv2DToxik.G"], "toxik", None),
+        (["velocity.X", "velocity.Y"], "jaxblur", None),
+        (
+            [f"velocity.{s}.{a}" for s in ("next", "previous") for a in "XY"],
+            "jaxblur",
+            [f"velocity.{s}.{a}" for s in ("previous", "next") for a in "XY"],
+        ),
+    ],
+)
+def test_channel_names_tell_the_convention(names, preset, channels):
+    guess = vectors.guess_preset(names)
+    assert guess.preset.name == preset
+    assert set(guess.channels) <= set(names)
+    if channels:
+        assert list(guess.channels) == channels
+    assert guess.reason.startswith(f"{preset}: found {guess.channels[0]}")
+    assert ("unverified" in guess.reason) == (not vectors.PRESETS[preset].verified)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["R", "G", "B"], "no motion vectors recognized among R, G, B"),
+        ([], "among no channels"),
+        (["Vector.X", "Vector.Y", "Vector.Z"], "no motion vectors recognized"),
+        (
+            [f"{v}.Vector.{a}" for v in ("A", "B") for a in "XYZW"],
+            "blender with A.Vector.X.*; blender with B",
+        ),
+        ([*BLENDER, *NUKE], "blender with .*; nuke with .*choose with `preset`"),
+        (["dPdtime.R", "dPdtime.G", "dPdtime.B"], "no motion vectors recognized"),
+    ],
+)
+def test_unknown_and_ambiguous_names_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        vectors.guess_preset(names)
+
+
+def test_a_given_preset_settles_an_ambiguity():
+    assert vectors.match_preset("nuke", [*BLENDER, *NUKE]).channels == tuple(NUKE)
+
+
+def test_refusals_of_given_presets():
+    with pytest.raises(
+        ValueError, match=r"`preset` must be auto or one of jaxblur, .*; got 'maya'"
+    ):
+        vectors.match_preset("maya", ["R"])
+    with pytest.raises(ValueError, match=r"no channels of preset `nuke` .* among R, G"):
+        vectors.match_preset("nuke", ["R", "G"])
+    with pytest.raises(ValueError, match="must name 4 channels for preset `blender`, got 2"):
+        vectors.assign_channels("blender", ["a", "b"])
+    with pytest.raises(ValueError, match="must name 2 or 4 channels for preset `nuke`, got 3"):
+        vectors.assign_channels("nuke", ["a", "b", "c"])
+
+
+def test_presets_are_consistent_data():
+    for name, preset in vectors.PRESETS.items():
+        assert preset.name == name and preset.source.endswith((".", ")"))
+        for layout in preset.layouts:
+            assert [pair.time for pair in layout] in ([-1], [1], [-1, 1])
+            assert all({pair.sign_x, pair.sign_y} <= {-1, 1} for pair in layout)
+        assert not preset.named or all(
+            "." in pair.x for layout in preset.layouts for pair in layout
+        ), "bare names identify nothing"
+
+
+def pan(shift, shape=(40, 60), seed=3):
+    """A smooth random picture and the same moved by whole pixels ``(x, y)``."""
+    noise = np.random.default_rng(seed).random((*shape, 3))
+    smooth = sum(np.roll(noise, (i, j), (0, 1)) for i in range(3) for j in range(3)) / 9
+    return smooth, np.roll(smooth, (shift[1], shift[0]), (0, 1))
+
+
+@pytest.mark.parametrize(
+    ("raw", "expected", "preset"),
+    [
+        ((6, -4), (1, 1, "px", 0.0, 1.0), "pixel"),
+        ((6, 4), (1, -1, "px", 0.0, 1.0), "fusion"),
+        ((-6, 4), (-1, -1, "px", 0.0, 1.0), "fsr2"),
+        ((3, 2), (1, -1, "px", 0.0, 0.5), "arnold"),
+        ((6 / 60, -4 / 40), (1, 1, "uv", 0.0, 1.0), "uv"),
+        ((12 / 60, 8 / 40), (1, -1, "ndc", 0.0, 1.0), "ndc"),
+        ((0.5 + 3 / 60, 0.5 + 2 / 40), (1, -1, "uv", 0.5, 1.0), "unreal"),
+    ],
+)
+def test_ranking_finds_the_convention_of_a_pan(raw, expected, preset):
+    now, following = pan((6, -4))
+    vector = np.broadcast_to(np.float32(raw), (40, 60, 2)).copy()
+    ranking = vectors.rank_conventions(now, following, vector)
+    best = ranking.candidates[0]
+    assert (best.sign_x, best.sign_y, best.unit, best.offset, best.span) == expected
+    assert preset in best.presets
+    assert best.error < 0.5 * ranking.still_error
+    assert ranking.moving_share == 1
+
+
+def test_ranking_finds_blender_vectors_in_a_rendered_pair():
+    guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
+    raw = exr.read_channels(CUBE, guess.channels)
+    ranking = vectors.rank_conventions(
+        exr.read_image(CUBE), exr.read_image(CUBE_NEXT), raw, guess.channels
+    )
+    best, second, third = ranking.candidates[:3]
+    assert best.channels == ("ViewLayer.Vector.Z", "ViewLayer.Vector.W")
+    assert second.channels == ("ViewLayer.Vector.X", "ViewLayer.Vector.Y")
+    for candidate in (best, second):
+        assert (candidate.sign_x, candidate.sign_y, candidate.unit) == (-1, 1, "px")
+        assert candidate.presets == ("blender",)
+    assert best.error < 0.4 * third.error < ranking.still_error
+
+
+def test_both_blender_sides_lead_to_the_neighboring_frames():
+    """The next frame's X, Y must lead back to this one, as this one's Z, W lead on."""
+    guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
+    raw = exr.read_channels(CUBE_NEXT, guess.channels)
+    options = {"size": raw.shape[:2]}
+    back = vectors.to_displacements(raw, guess, **options).previous
+    assert back is not None
+    ranking = vectors.rank_conventions(exr.read_image(CUBE_NEXT), exr.read_image(CUBE), back)
+    best = ranking.candidates[0]
+    assert (best.sign_x, best.sign_y, best.unit, best.span) == (1, 1, "px", 1.0)
+    assert best.error < 0.5 * ranking.still_error
+
+
+def test_ranking_refusals():
+    now, following = pan((1, 1))
+    zero = np.zeros((40, 60, 2))
+    with pytest.raises(ValueError, match="nothing moves"):
+        vectors.rank_conventions(now, following, zero)
+    with pytest.raises(ValueError, match="one shape"):
+        vectors.rank_conventions(now, following[:-1], zero)
+    with pytest.raises(ValueError, match="pairs of components"):
+        vectors.rank_conventions(now, following, zero[..., :1])
+    with pytest.raises(ValueError, match="`shutter` must be above 0"):
+        vectors.rank_conventions(now, following, zero, shutter=0)
+    with pytest.raises(ValueError, match="must name 2 components"):
+        vectors.rank_conventions(now, following, zero, ["x"])
+
+
+def test_speed_statistics_of_a_known_field():
+    velocity = np.zeros((4, 5, 2), np.float32)
+    velocity[0, 0] = [3, 4]
+    velocity[0, 1] = [30, 40]
+    velocity[0, 2] = [np.nan, 1]
+    velocity[0, 3] = [np.inf, 1]
+    figures = vectors.speed_statistics(velocity, radius=40)
+    assert figures.percentiles[100.0] == 50 and figures.percentiles[50.0] == 0
+    assert figures.zero_share == 16 / 20
+    assert figures.non_finite_share == 2 / 20
+    assert figures.suggested_radius == 5, "not beyond the image"
+    still = vectors.speed_statistics(np.zeros((4, 5, 2)))
+    assert still.suggested_radius == 5 and still.zero_share == 1
+
+
+def test_beyond_radius_counts_finite_vectors_only():
+    velocity = np.zeros((2, 2, 2))
+    velocity[0, 0, 0], velocity[1, 1, 0] = 41, np.inf
+    assert vectors.speed_statistics(velocity, radius=40).beyond_share == 1 / 4
