@@ -124,88 +124,89 @@ def _material(
 
 
 def filtered_albedo(
-    material: Material,
+    materials: Material,
+    number: Int[Array, " points"],
     noise_pyramid: Float[Array, " texels"],
-    texture: Float[Array, "points 2"],
-    width: Float[Array, "points 2"],
-) -> Float[Array, "points 3"]:
-    """Average a material's albedo over axis-aligned boxes in texture space.
+    texture: Float[Array, "2 points"],
+    width: Float[Array, "2 points"],
+) -> Float[Array, "3 points"]:
+    """Average the albedo of materials over axis-aligned boxes in texture space.
 
     Args:
-        material: with a leading axis (points,).
+        materials: all materials, with a leading axis (M,).
+        number: (N,) int, which of them each point has.
         noise_pyramid: the texels of `noise_texels`.
-        texture: (points, 2) box centers, texture coordinates.
-        width: (points, 2) box widths, texture coordinates, not negative.
+        texture: (2, N) box centers, texture coordinates.
+        width: (2, N) box widths, texture coordinates, not negative.
 
     Returns:
-        (points, 3) linear albedo.
+        (3, N) linear albedo.
     """
-    position = texture * material.repeats
-    extent = jnp.maximum(width * material.repeats, SMALLEST_WIDTH)
-    is_noise = material.pattern == Pattern.NOISE
+    pattern, joint, bond = (
+        leaf[number] for leaf in (materials.pattern, materials.joint, materials.bond)
+    )
+    repeats = materials.repeats.T[:, number]
+    position, extent = texture * repeats, jnp.maximum(width * repeats, SMALLEST_WIDTH)
+    is_noise = pattern == Pattern.NOISE
     # Most scenes have no noise, and eight texel reads per point are the dearest part of shading.
     fractal = jax.lax.cond(
         jnp.any(is_noise),
         lambda: filtered_noise(noise_pyramid, position, extent),
-        lambda: jnp.zeros(position.shape[:-1]),
+        lambda: jnp.zeros(number.shape),
     )
-    amount = jnp.select(
-        [material.pattern == Pattern.CHECKER, is_noise, material.pattern == Pattern.BRICK],
-        [
-            filtered_checker(position, extent),
-            fractal,
-            filtered_brick(position, extent, material.joint, material.bond),
-        ],
-        jnp.zeros(()),
-    )
-    first, second = material.colors[..., 0, :], material.colors[..., 1, :]
-    return first + amount[..., None] * (second - first)
+    board = filtered_checker(position, extent)
+    bricks = filtered_brick(position, extent, joint, bond)
+    amount = jnp.where(pattern == Pattern.CHECKER, board, 0.0)
+    amount = jnp.where(pattern == Pattern.BRICK, bricks, amount)
+    amount = jnp.where(is_noise, fractal, amount)
+    first, second = (materials.colors[:, k].T[:, number] for k in (0, 1))
+    return first + amount * (second - first)
 
 
 def filtered_checker(
-    position: Float[Array, "*points 2"], width: Float[Array, "*points 2"]
-) -> Float[Array, "*points"]:
+    position: Float[Array, "2 ..."], width: Float[Array, "2 ..."]
+) -> Float[Array, "..."]:
     """Average a checkerboard of period 1 over a box, exactly.
 
     The board is ``1/2 - s(u) s(v)/2`` with the square wave ``s``, whose integral is a triangle
     wave; the box average of a product of functions of u and v is the product of averages.
 
     Args:
-        position: (..., 2) box centers in periods.
-        width: (..., 2) box widths in periods, positive.
+        position: (2, ...) box centers in periods.
+        width: (2, ...) box widths in periods, positive.
 
     Returns:
         (...) share of the second color, in [0, 1].
     """
     wave = 2.0 * _pulse_average(position, width, jnp.float32(0.5)) - 1.0
-    return 0.5 - 0.5 * wave[..., 0] * wave[..., 1]
+    return 0.5 - 0.5 * wave[0] * wave[1]
 
 
 def filtered_brick(
-    position: Float[Array, "*points 2"],
-    width: Float[Array, "*points 2"],
-    joint: Float[Array, "*points"],
-    bond: Float[Array, "*points"],
-) -> Float[Array, "*points"]:
+    position: Float[Array, "2 ..."],
+    width: Float[Array, "2 ..."],
+    joint: Float[Array, "..."],
+    bond: Float[Array, "..."],
+) -> Float[Array, "..."]:
     """Average bricks over a box, exactly.
 
     ``even(v) brick(u) + odd(v) brick(u + bond)``: both terms are products of pulse trains in u
     and in v.
 
     Args:
-        position: (..., 2) box centers; one unit is a brick with its joint.
-        width: (..., 2) box widths, positive.
+        position: (2, ...) box centers; one unit is a brick with its joint.
+        width: (2, ...) box widths, positive.
         joint: (...) share of the unit that is mortar.
         bond: (...) shift of the odd rows in units.
 
     Returns:
         (...) share of brick, in [0, 1].
     """
-    along, across = position[..., 0], position[..., 1]
+    along, across = position
     body = 1.0 - joint
-    rows = [_pulse_average((across - k) / 2, width[..., 1] / 2, body / 2) for k in (0, 1)]
-    even = _pulse_average(along, width[..., 0], body)
-    odd = _pulse_average(along + bond, width[..., 0], body)
+    rows = [_pulse_average((across - k) / 2, width[1] / 2, body / 2) for k in (0, 1)]
+    even = _pulse_average(along, width[0], body)
+    odd = _pulse_average(along + bond, width[0], body)
     return rows[0] * even + rows[1] * odd
 
 
@@ -224,45 +225,43 @@ def _pulse_average(center: jax.Array, width: jax.Array, duty: jax.Array) -> jax.
 
 def filtered_noise(
     pyramid: Float[Array, " texels"],
-    position: Float[Array, "*points 2"],
-    width: Float[Array, "*points 2"],
-) -> Float[Array, "*points"]:
+    position: Float[Array, "2 ..."],
+    width: Float[Array, "2 ..."],
+) -> Float[Array, "..."]:
     """Read the noise texture trilinearly at the mip level of the box's longer side.
 
     Args:
         pyramid: the texels of `noise_texels`.
-        position: (..., 2) in periods of the texture.
-        width: (..., 2) box widths in periods.
+        position: (2, ...) in periods of the texture.
+        width: (2, ...) box widths in periods.
 
     Returns:
         (...) values in [0, 1].
     """
-    level = jnp.log2(jnp.maximum(jnp.max(width, axis=-1) * NOISE_SIZE, 1.0))
+    level = jnp.log2(jnp.maximum(jnp.maximum(width[0], width[1]) * NOISE_SIZE, 1.0))
     level = jnp.minimum(level, NOISE_LEVELS - 1.001)
     low = jnp.floor(level).astype(jnp.int32)
-    fraction = level - low
     below, above = (_bilinear(pyramid, position, low + k) for k in (0, 1))
-    return below + fraction * (above - below)
+    return below + (level - low) * (above - below)
 
 
 def _bilinear(
     pyramid: Float[Array, " texels"],
-    position: Float[Array, "*points 2"],
-    level: Int[Array, "*points"],
-) -> Float[Array, "*points"]:
+    position: Float[Array, "2 ..."],
+    level: Int[Array, "..."],
+) -> Float[Array, "..."]:
     size = jnp.right_shift(NOISE_SIZE, level)
     # A pyramid of squares 4^8, 4^7, .. starts level L at (4^9 - 4^(9 - L)) / 3.
     offset = (4**NOISE_LEVELS - jnp.left_shift(1, 2 * (NOISE_LEVELS - level))) // 3
-    texel = (position - jnp.floor(position)) * size[..., None] - 0.5
+    texel = (position - jnp.floor(position)) * size - 0.5
     corner = jnp.floor(texel)
-    fraction = texel - corner
-    column, row = (jnp.moveaxis(corner, -1, 0)).astype(jnp.int32)
+    x, y = texel - corner
+    column, row = corner.astype(jnp.int32)
 
     def read(dx: int, dy: int) -> jax.Array:
         wrap = size - 1
         return pyramid[offset + ((row + dy) & wrap) * size + ((column + dx) & wrap)]
 
-    x, y = fraction[..., 0], fraction[..., 1]
     top = read(0, 0) + x * (read(1, 0) - read(0, 0))
     bottom = read(0, 1) + x * (read(1, 1) - read(0, 1))
     return top + y * (bottom - top)

@@ -21,7 +21,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .scene import NEAR
 
-BEHIND_ALL = 0.0
 EDGE_ON = 1e-7
 ROW_MARGIN = 1e-3
 
@@ -34,35 +33,67 @@ class Capacity:
     fragments: int
 
 
-class Planes(NamedTuple):
-    """Triangles in camera space as linear functions of the ray ``d = (x, y, 1)``.
-
-    Attributes:
-        edges: (F, 3, 3) an edge's function ``edges[:, i] . d``, opposite corner i, with a sign
-            that depends on the order of its ends only, so that neighbors share its bits.
-        inside: (F, 3) +1 or -1, the sign of the function inside the triangle.
-        inverse_depth: (F, 3) ``1/z = inverse_depth . d``.
-        drawn: (F,) bool: not degenerate, not behind the camera, not a hidden back face.
-    """
-
-    edges: jax.Array
-    inside: jax.Array
-    inverse_depth: jax.Array
-    drawn: jax.Array
-
-
 class Visibility(NamedTuple):
     """What is seen through each pixel, and the capacity that was needed.
 
     Attributes:
         triangle: (H, W) int, -1 where nothing is.
-        rows: () int, rows needed.
-        fragments: () int, fragments needed; right only if the rows sufficed.
+        needed: (2,) int, rows and fragments; the fragments are right only if the rows sufficed.
     """
 
     triangle: jax.Array
-    rows: jax.Array
-    fragments: jax.Array
+    needed: jax.Array
+
+
+class Planes(NamedTuple):
+    """Triangles in camera space as linear functions of the ray ``d = (x, y, 1)``.
+
+    The component axis leads: arrays whose last axis is 3 long vectorize badly.
+
+    Attributes:
+        edges: 3 arrays (3, F); an edge's function is ``edges[i] . d``, opposite corner i, with a
+            sign that depends on the order of its ends only, so that neighbors share its bits.
+        inside: 3 arrays (F,) of +1 or -1, the sign of the function inside the triangle.
+        inverse_depth: (3, F) ``1/z = inverse_depth . d``.
+        drawn: (F,) bool: not degenerate, not behind the camera, not a hidden back face.
+    """
+
+    edges: list[jax.Array]
+    inside: list[jax.Array]
+    inverse_depth: jax.Array
+    drawn: jax.Array
+
+
+class Rows(NamedTuple):
+    """The covered part of every image row that a triangle touches, R entries.
+
+    Attributes:
+        owner: (R,) int, triangle.
+        row: (R,) int, image row.
+        first: (R,) int, first column covered.
+        count: (R,) int, number of columns covered.
+        plane: (3, R) inverse depth as a function of the ray.
+        needed: () int, number of entries needed.
+    """
+
+    owner: jax.Array
+    row: jax.Array
+    first: jax.Array
+    count: jax.Array
+    plane: jax.Array
+    needed: jax.Array
+
+
+def cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Cross product along the leading axis."""
+    return jnp.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Inner product along the leading axis."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def planes(
@@ -80,22 +111,24 @@ def planes(
     Returns:
         Edge functions and inverse depth of every triangle.
     """
-    corners = points[triangles]
-    normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = jnp.sum(corners[:, 0] * normal, axis=-1)
-    ends = triangles[:, jnp.array([[1, 2], [2, 0], [0, 1]])]
-    low, high = points[jnp.min(ends, -1)], points[jnp.max(ends, -1)]
-    # low x high, written with the difference: two long, nearly equal vectors lose digits.
-    edges = jnp.cross(low, high - low)
-    order = jnp.where(ends[..., 0] < ends[..., 1], 1.0, -1.0)
-    size = jnp.linalg.norm(corners[:, 0], axis=-1) * jnp.linalg.norm(normal, axis=-1)
-    drawn = (jnp.abs(volume) > EDGE_ON * size) & jnp.any(corners[..., 2] > NEAR, axis=1)
-    return Planes(
-        edges,
-        order * jnp.sign(volume)[:, None],
-        normal / jnp.where(drawn, volume, 1.0)[:, None],
-        drawn & ((volume < 0) | ~closed),
-    )
+    index = [triangles[:, i] for i in range(3)]
+    corner = [points.T[:, i] for i in index]
+    normal = cross(corner[1] - corner[0], corner[2] - corner[0])
+    volume = dot(corner[0], normal)
+    side = jnp.sign(volume)
+    edges, inside = [], []
+    for i, j in ((1, 2), (2, 0), (0, 1)):
+        ordered = index[i] < index[j]
+        low = jnp.where(ordered, corner[i], corner[j])
+        high = jnp.where(ordered, corner[j], corner[i])
+        # low x high, written with the difference: two long, nearly equal vectors lose digits.
+        edges.append(cross(low, high - low))
+        inside.append(jnp.where(ordered, side, -side))
+    size = dot(corner[0], corner[0]) * dot(normal, normal)
+    ahead = jnp.maximum(jnp.maximum(corner[0][2], corner[1][2]), corner[2][2]) > NEAR
+    drawn = (volume**2 > EDGE_ON**2 * size) & ahead
+    plane = normal / jnp.where(drawn, volume, 1.0)
+    return Planes(edges, inside, plane, drawn & ((volume < 0) | ~closed))
 
 
 def row_ranges(
@@ -121,15 +154,15 @@ def row_ranges(
         plane.
     """
     height, width = size
-    x, y, z = jnp.moveaxis(points[triangles], -1, 0)
+    x, y, z = points.T[:, triangles.T]
     safe = jnp.maximum(z, NEAR)
     column, row = focal * x / safe + width / 2, focal * y / safe + height / 2
     # The edge functions decide; a row too many is harmless, and rounding may go either way.
-    top = jnp.ceil(jnp.min(row, 1) - 0.5 - offset[1] - ROW_MARGIN)
-    bottom = jnp.ceil(jnp.max(row, 1) - 0.5 - offset[1] + ROW_MARGIN)
+    top = jnp.ceil(jnp.min(row, 0) - 0.5 - offset[1] - ROW_MARGIN)
+    bottom = jnp.ceil(jnp.max(row, 0) - 0.5 - offset[1] + ROW_MARGIN)
     first, last = (jnp.clip(edge, 0, height).astype(jnp.int32) for edge in (top, bottom))
-    beside = (jnp.max(column, 1) < -1) | (jnp.min(column, 1) > width + 1)
-    crosses = jnp.any(z <= NEAR, axis=1)
+    beside = (jnp.max(column, 0) < -1) | (jnp.min(column, 0) > width + 1)
+    crosses = jnp.min(z, axis=0) <= NEAR
     first = jnp.where(crosses, 0, first)
     last = jnp.where(crosses, height, jnp.where(beside, first, last))
     return first, jnp.where(drawn, last - first, 0)
@@ -175,24 +208,58 @@ def spans(
         size: (height, width) of the image.
 
     Returns:
-        First column and end column (exclusive), each (R,) int; equal where nothing is covered.
+        First column and number of columns, each (R,) int; no columns where nothing is covered.
     """
     height, width = size
     y = (row + 0.5 + offset[1] - height / 2) / focal
-    near = jnp.array([0.0, 0.0, 1 / NEAR]) - planes.inverse_depth
-    lines = jnp.concatenate([planes.edges, near[:, None]], axis=1)[owner]
-    sign = jnp.concatenate([planes.inside, jnp.ones_like(planes.inside[:, :1])], axis=1)[owner]
-    slope, level = lines[..., 0], lines[..., 1] * y[:, None] + lines[..., 2]
-    upright = slope == 0
-    crossing = -level / jnp.where(upright, 1.0, slope) * focal + width / 2 - offset[0]
-    column = jnp.ceil(jnp.clip(crossing, -1.0, width + 1.0) - 0.5).astype(jnp.int32)
-    # On an edge along the row the side is decided by its sign alone, zero counting as positive.
-    outside = upright & (jnp.where(level >= 0, 1.0, -1.0) != sign)
-    opens, closes = ~upright & (slope * sign > 0), ~upright & (slope * sign < 0)
-    first = jnp.max(jnp.where(opens, column, 0), axis=1)
-    end = jnp.min(jnp.where(closes, column, width), axis=1)
-    end = jnp.where(jnp.any(outside, axis=1), first, end)
-    return first, jnp.maximum(end, first)
+    first, end = jnp.zeros_like(row), jnp.full_like(row, width)
+    in_front = jnp.array([0.0, 0.0, 1 / NEAR])[:, None] - planes.inverse_depth
+    lines = [*planes.edges, in_front]
+    signs = [*planes.inside, jnp.ones_like(in_front[0])]
+    for line, sign in zip(lines, signs, strict=True):
+        slope, rise, level = line[:, owner]
+        inside, value = sign[owner], rise * y + level
+        upright = slope == 0
+        crossing = -value / jnp.where(upright, 1.0, slope) * focal + width / 2 - offset[0]
+        column = jnp.ceil(jnp.clip(crossing, -1.0, width + 1.0) - 0.5).astype(jnp.int32)
+        # Along a row the sign of the function alone decides, and zero counts as positive.
+        outside = upright & ((value >= 0) != (inside > 0))
+        end = jnp.where(outside, 0, end)
+        first = jnp.where(~upright & (slope * inside > 0), jnp.maximum(first, column), first)
+        end = jnp.where(~upright & (slope * inside < 0), jnp.minimum(end, column), end)
+    return first, jnp.maximum(end - first, 0)
+
+
+def covered_rows(
+    points: Float[Array, "points 3"],
+    triangles: Int[Array, "triangles 3"],
+    closed: Bool[Array, " triangles"],
+    focal: Float[Array, ""],
+    offset: Float[Array, " 2"],
+    size: tuple[int, int],
+    capacity: int,
+) -> Rows:
+    """Cut all triangles into rows of pixels.
+
+    Args:
+        points: (V, 3) camera space.
+        triangles: (F, 3) indices.
+        closed: (F,) whether back faces are skipped.
+        focal: () pixels.
+        offset: (2,) x and y of the sample from the pixel center, pixels, within +-1/2.
+        size: static (height, width).
+        capacity: static number of entries; entries beyond it are lost, see `Rows.needed`.
+
+    Returns:
+        The rows; the number of fragments is the sum of their counts.
+    """
+    surface = planes(points, triangles, closed)
+    first_row, row_count = row_ranges(points, triangles, surface.drawn, focal, offset, size)
+    owner, number, real, needed = expand(row_count, capacity)
+    row = first_row[owner] + number
+    first, count = spans(surface, owner, row, focal, offset, size)
+    plane = surface.inverse_depth[:, owner]
+    return Rows(owner, row, first, jnp.where(real, count, 0), plane, needed)
 
 
 def visible_triangles(
@@ -203,7 +270,7 @@ def visible_triangles(
     offset: Float[Array, " 2"],
     size: tuple[int, int],
     capacity: Capacity,
-) -> tuple[Visibility, Planes]:
+) -> Visibility:
     """Find the nearest triangle at every pixel.
 
     Equal depths go to the triangle with the larger number, so that the result is deterministic.
@@ -218,33 +285,31 @@ def visible_triangles(
         capacity: static sizes; the result is wrong if the counts returned exceed them.
 
     Returns:
-        What is visible, and the triangles' planes.
+        What is visible, and the counts.
     """
     height, width = size
-    surface = planes(points, triangles, closed)
-    first_row, row_count = row_ranges(points, triangles, surface.drawn, focal, offset, size)
-    owner, number, real, rows = expand(row_count, capacity.rows)
-    row = first_row[owner] + number
-    first, end = spans(surface, owner, row, focal, offset, size)
-    line, along, covered, fragments = expand(jnp.where(real, end - first, 0), capacity.fragments)
-    pixel = jnp.where(covered, (row * width + first)[line] + along, height * width)
-    plane = surface.inverse_depth[owner]
-    ray_x = (first + 0.5 + offset[0] - width / 2) / focal
-    ray_y = (row + 0.5 + offset[1] - height / 2) / focal
-    start = plane[:, 0] * ray_x + plane[:, 1] * ray_y + plane[:, 2]
+    rows = covered_rows(points, triangles, closed, focal, offset, size, capacity.rows)
+    line, along, covered, fragments = expand(rows.count, capacity.fragments)
+    nowhere = height * width
+    pixel = jnp.where(covered, (rows.row * width + rows.first)[line] + along, nowhere)
+    ray_x = (rows.first + 0.5 + offset[0] - width / 2) / focal
+    ray_y = (rows.row + 0.5 + offset[1] - height / 2) / focal
+    start = rows.plane[0] * ray_x + rows.plane[1] * ray_y + rows.plane[2]
     # Materialized once: were it computed twice, rounding could make a pixel lose its winner.
-    inverse_depth = jax.lax.optimization_barrier(start[line] + (plane[:, 0] / focal)[line] * along)
-    nearest = jnp.full(height * width + 1, BEHIND_ALL).at[pixel].max(inverse_depth)
+    inverse_depth = jax.lax.optimization_barrier(
+        start[line] + (rows.plane[0] / focal)[line] * along
+    )
+    nearest = jnp.zeros(nowhere + 1).at[pixel].max(inverse_depth)
     wins = covered & (inverse_depth == nearest[pixel])
-    seen = jnp.full(height * width + 1, -1, jnp.int32)
-    seen = seen.at[jnp.where(wins, pixel, height * width)].max(owner[line])
-    return Visibility(seen[:-1].reshape(size), rows, fragments), surface
+    seen = jnp.full(nowhere + 1, -1, jnp.int32)
+    seen = seen.at[jnp.where(wins, pixel, nowhere)].max(rows.owner[line])
+    return Visibility(seen[:-1].reshape(size), jnp.stack([rows.needed, fragments]))
 
 
 def rays(
     focal: Float[Array, ""], offset: Float[Array, " 2"], size: tuple[int, int]
-) -> Float[Array, "height width 3"]:
-    """Make the rays ``(x, y, 1)`` in camera space through all pixels.
+) -> Float[Array, "3 pixels"]:
+    """Make the rays ``(x, y, 1)`` in camera space through all pixels in row-major order.
 
     Args:
         focal: () pixels.
@@ -252,13 +317,13 @@ def rays(
         size: (height, width).
 
     Returns:
-        (H, W, 3).
+        (3, H W).
     """
     height, width = size
     x = (jnp.arange(width) + 0.5 + offset[0] - width / 2) / focal
     y = (jnp.arange(height) + 0.5 + offset[1] - height / 2) / focal
     columns, rows = jnp.meshgrid(x, y)
-    return jnp.stack([columns, rows, jnp.ones(size)], axis=-1)
+    return jnp.stack([columns.ravel(), rows.ravel(), jnp.ones(height * width)])
 
 
 def enough(rows: int, fragments: int) -> Capacity:

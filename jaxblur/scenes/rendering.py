@@ -9,12 +9,12 @@ from jaxtyping import Array, Float, Int
 
 from ..frame import Frame
 from . import motion
+from .exposure import fits, integrate, make_exposure, needed_capacity
 from .raster import Capacity, enough, rays, visible_triangles
-from .scene import NEAR, Pose, Scene, World, pose_at
-from .shading import shade, surface_at
+from .scene import NEAR, Scene, World, pose_at
+from .shading import surface_at
 
 SUBPIXELS = 16
-PROBE_ROWS = 4096
 
 
 def render(
@@ -50,20 +50,13 @@ def render(
     Raises:
         ValueError: the size or the number of subpixels is not positive, or the shutter negative.
     """
-    check_size(size)
+    check_exposure(shutter, size)
     if subpixels < 1:
         raise ValueError(f"`subpixels` must be at least 1, got {subpixels}.")
-    if not shutter >= 0:
-        raise ValueError(f"`shutter` must not be negative, got {shutter}.")
-    times = jnp.float32(time) + jnp.float32(shutter) * jnp.array([-0.5, 0.5], jnp.float32)
-    capacity = needed_capacity(scene.world, [time], size)
-    while True:
-        color, depth, moves, need = _render(
-            scene.world, jnp.float32(time), times, size, capacity, subpixels
-        )
-        if fits(need, capacity):
-            break
-        capacity = enough(*need.tolist())
+    color = integrate(scene, make_exposure(np.full(subpixels, time)), size)
+    ends = jnp.float32(time) + jnp.float32(shutter) * jnp.array([-0.5, 0.5], jnp.float32)
+    triangle = visible(scene, time, size)
+    depth, moves = _moves(scene.world, triangle, jnp.float32(time), ends, size)
     velocity = (moves[..., 1, :] - moves[..., 0, :]) / 2
     return Frame(color, depth, velocity, moves if path else None)
 
@@ -119,9 +112,12 @@ def visible(
 ) -> Int[Array, "height width"]:
     """Find the triangle that is seen at every pixel center: (H, W) int32, -1 for sky."""
     check_size(size)
-    capacity = needed_capacity(scene.world, [time], size)
-    pose = _pose(scene.world, jnp.float32(time))
-    return _visible(scene.world, pose, jnp.zeros(2), size, capacity)[0]
+    capacity = needed_capacity(scene.world, np.full(3, time), size)
+    while True:
+        triangle, needed = _visible(scene.world, jnp.float32(time), size, capacity)
+        if fits(needed, capacity):
+            return triangle
+        capacity = enough(*needed.tolist())
 
 
 def check_size(size: tuple[int, int]) -> None:
@@ -134,146 +130,49 @@ def check_size(size: tuple[int, int]) -> None:
         raise ValueError(f"`size` must be (height, width), both at least 1, got {size}.")
 
 
-def subpixel_offsets(count: int) -> Float[Array, "samples 2"]:
-    """Spread positions evenly over a pixel by the R2 sequence [Roberts 2018].
+def check_exposure(shutter: float, size: tuple[int, int]) -> None:
+    """Refuse sizes as `check_size` does, and shutter times below zero.
 
-    Args:
-        count: number of positions.
-
-    Returns:
-        (count, 2) offsets x, y from the pixel center in [-1/2, 1/2); their mean is zero.
+    Raises:
+        ValueError: one of them is out of range.
     """
-    golden = 1.32471795724474602596
-    points = np.outer(np.arange(count), [1 / golden, 1 / golden**2]) % 1.0
-    # Without its mean the sequence would shift the image by a part of a pixel.
-    return jnp.asarray(points - points.mean(axis=0), jnp.float32)
-
-
-def needed_capacity(world: World, times: list[float], size: tuple[int, int]) -> Capacity:
-    """Count rows and fragments at some times and round them up.
-
-    Args:
-        world: the arrays of a scene.
-        times: frames.
-        size: (height, width).
-
-    Returns:
-        Capacity that suffices at these times for pixel centers; others may need more.
-    """
-    capacity = enough(PROBE_ROWS, size[0] * size[1])
-    moments = jnp.asarray(times, jnp.float32)
-    while not fits(need := _count(world, moments, size, capacity), capacity):
-        capacity = enough(*need.tolist())
-    return enough(*need.tolist())
-
-
-def fits(need: jax.Array, capacity: Capacity) -> bool:
-    """Tell whether (rows, fragments) needed are within the capacity."""
-    rows, fragments = need.tolist()
-    return rows <= capacity.rows and fragments <= capacity.fragments
-
-
-def sample_color(
-    world: World,
-    time: Float[Array, ""],
-    offset: Float[Array, " 2"],
-    footprint: float,
-    size: tuple[int, int],
-    capacity: Capacity,
-) -> tuple[Float[Array, "height width 3"], Int[Array, " 2"]]:
-    """Render one sharp image with one ray per pixel.
-
-    Args:
-        world: the arrays of a scene.
-        time: () frames.
-        offset: (2,) x and y of the ray from the pixel center, pixels.
-        footprint: width over which textures are averaged, pixels.
-        size: static (height, width).
-        capacity: static.
-
-    Returns:
-        (H, W, 3) linear light, and (rows, fragments) needed.
-    """
-    pose = pose_at(world, time)
-    triangle, need = _visible(world, pose, offset, size, capacity)
-    focal = world.camera.focal * size[1]
-    ray = rays(focal, offset, size).reshape(-1, 3)
-    surface = surface_at(world, pose, triangle.reshape(-1), ray, footprint / focal)
-    return shade(world, pose, surface, ray, footprint / focal).reshape(*size, 3), need
-
-
-_pose = jax.jit(pose_at)
+    check_size(size)
+    if not shutter >= 0:
+        raise ValueError(f"`shutter` must not be negative, got {shutter}.")
 
 
 @functools.partial(jax.jit, static_argnames=("size", "capacity"))
 def _visible(
-    world: World, pose: Pose, offset: jax.Array, size: tuple[int, int], capacity: Capacity
-) -> tuple[jax.Array, jax.Array]:
-    seen, _ = visible_triangles(
-        pose.points,
-        world.triangles,
-        world.closed,
-        world.camera.focal * size[1],
-        offset,
-        size,
-        capacity,
+    world: World, time: Array, size: tuple[int, int], capacity: Capacity
+) -> tuple[Array, Array]:
+    points, focal = pose_at(world, time).points, world.camera.focal * size[1]
+    return visible_triangles(
+        points, world.triangles, world.closed, focal, jnp.zeros(2), size, capacity
     )
-    return seen.triangle, jnp.stack([seen.rows, seen.fragments])
-
-
-@functools.partial(jax.jit, static_argnames=("size", "capacity"))
-def _count(world: World, times: jax.Array, size: tuple[int, int], capacity: Capacity) -> jax.Array:
-    def count(time: jax.Array) -> jax.Array:
-        return _visible(world, pose_at(world, time), jnp.zeros(2), size, capacity)[1]
-
-    return jnp.max(jax.lax.map(count, times), axis=0)
-
-
-@functools.partial(jax.jit, static_argnames=("size", "capacity", "subpixels"))
-def _render(
-    world: World,
-    time: jax.Array,
-    times: jax.Array,
-    size: tuple[int, int],
-    capacity: Capacity,
-    subpixels: int,
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Give color, depth, displacements at `times`, and the capacity needed."""
-    offsets = subpixel_offsets(subpixels)
-
-    def add(i: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        total, need = state
-        color, count = sample_color(world, time, offsets[i], subpixels**-0.5, size, capacity)
-        return total + color, jnp.maximum(need, count)
-
-    triangle, need = _visible(world, pose_at(world, time), jnp.zeros(2), size, capacity)
-    color, need = jax.lax.fori_loop(0, subpixels, add, (jnp.zeros((*size, 3)), need))
-    depth, moves = _moves(world, triangle, time, times, size)
-    return color / subpixels, depth, moves, need
 
 
 @functools.partial(jax.jit, static_argnames=("size",))
 def _moves(
-    world: World, triangle: jax.Array, time: jax.Array, times: jax.Array, size: tuple[int, int]
-) -> tuple[jax.Array, jax.Array]:
+    world: World, triangle: Array, time: Array, times: Array, size: tuple[int, int]
+) -> tuple[Array, Array]:
     """Give depth (H, W) at `time` and displacements (H, W, T, 2) to `times` in pixels."""
     focal = world.camera.focal * size[1]
-    ray = rays(focal, jnp.zeros(2), size).reshape(-1, 3)
+    ray = rays(focal, jnp.zeros(2), size)
     flat = triangle.reshape(-1)
     pose = pose_at(world, time)
     surface = surface_at(world, pose, flat, ray, jnp.zeros(()))
-    corner = world.triangles[jnp.maximum(flat, 0)]
+    corners = world.triangles[jnp.maximum(flat, 0)].T
+    is_sky = flat < 0
 
-    def move(other: jax.Array) -> jax.Array:
+    def move(other: Array) -> Array:
         turn, _ = motion.transform(world.camera.motion, other)
-        shift = (pose_at(world, other).points - pose.points)[corner]
-        shift = jnp.einsum("nc,nci->ni", surface.weights, shift)
-        turned = ray @ (pose.camera_rotation.T @ (turn - pose.camera_rotation))
-        is_sky = flat[:, None] < 0
+        turned = ((turn - pose.camera_rotation).T @ pose.camera_rotation) @ ray
+        shift = (pose_at(world, other).points - pose.points).T
+        shift = sum(surface.weights[i] * shift[:, corners[i]] for i in range(3))
         shift = jnp.where(is_sky, turned, shift)
-        depth = jnp.where(is_sky, 1.0, surface.depth[:, None]) + shift[:, 2:]
+        depth = jnp.where(is_sky, 1.0, surface.depth) + shift[2]
         # (x + dx)/(z + dz) - x/z in differences: what stays put is at rest to the last bit.
-        seen = (shift[:, :2] - ray[:, :2] * shift[:, 2:]) / jnp.maximum(depth, NEAR)
-        return (focal * seen).reshape(*size, 2)
+        seen = (shift[:2] - ray[:2] * shift[2]) / jnp.maximum(depth, NEAR)
+        return (focal * seen).T.reshape(*size, 2)
 
     return surface.depth.reshape(size), jnp.moveaxis(jax.vmap(move)(times), 0, 2)

@@ -281,10 +281,10 @@ def _palette(bodies: Sequence[Body]) -> tuple[list[Material], list[np.ndarray]]:
 
 
 def _bucket(count: int, smallest: int) -> int:
-    """Round up to `smallest` times a power of four."""
+    """Round up to `smallest` times a power of two."""
     size = smallest
     while size < count:
-        size *= 4
+        size *= 2
     return size
 
 

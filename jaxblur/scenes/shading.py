@@ -1,4 +1,7 @@
-"""Deferred shading: surface lookup, texture footprints, sun and ambient light, sky."""
+"""Deferred shading: surface lookup, texture footprints, sun and ambient light, sky.
+
+Points and vectors have their component axis first, (3, N): see `raster.Planes`.
+"""
 
 from typing import NamedTuple
 
@@ -7,20 +10,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .materials import NOISE_SIZE, filtered_albedo, filtered_noise
+from .raster import cross, dot
 from .scene import Light, Pose, World
 
 CLOUD_SCALE = 0.11
 
 
 class Surface(NamedTuple):
-    """Attributes of surface points, flat arrays of length N.
+    """Attributes of surface points, N of them.
 
     Attributes:
         triangle: (N,) int; -1 where there is sky, with the attributes of triangle 0.
-        weights: (N, 3) perspective-correct barycentric weights of the corners.
+        weights: (3, N) perspective-correct barycentric weights of the corners.
         depth: (N,) planar depth, +inf for sky.
-        texture: (N, 2) texture coordinates.
-        width: (N, 2) widths of the pixel's footprint along the texture axes.
+        texture: (2, N) texture coordinates.
+        width: (2, N) widths of the pixel's footprint along the texture axes.
+        faces_away: (N,) bool, the back of the triangle is seen.
     """
 
     triangle: jax.Array
@@ -28,82 +33,83 @@ class Surface(NamedTuple):
     depth: jax.Array
     texture: jax.Array
     width: jax.Array
+    faces_away: jax.Array
 
 
 def surface_at(
     world: World,
     pose: Pose,
     triangle: Int[Array, " points"],
-    ray: Float[Array, "points 3"],
+    ray: Float[Array, "3 points"],
     spacing: Float[Array, ""],
 ) -> Surface:
     """Intersect rays with the triangles that they are known to hit.
 
-    With ``E = M^-1`` the weights are ``E d / sum(E d)``; both are linear in the ray, so the
-    derivative of the texture coordinates, and with it the footprint, is closed-form.
+    With the corners as columns of M and ``E = M^-1`` the weights are ``E d / sum(E d)``; both are
+    linear in the ray, so the derivative of the texture coordinates, and with it the footprint,
+    is closed-form.
 
     Args:
         world: the arrays of a scene.
         pose: the world at the time of the rays.
         triangle: (N,) -1 for none.
-        ray: (N, 3) camera space, with z = 1.
+        ray: (3, N) camera space, with z = 1.
         spacing: () width of the texture footprint, as a difference of ray x or y.
 
     Returns:
         The points hit.
     """
     known = jnp.maximum(triangle, 0)
-    corners = pose.points[world.triangles[known]]
-    first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
+    first, second, third = (pose.points.T[:, world.triangles[known, i]] for i in range(3))
     to_second, to_third = second - first, third - first
-    normal = jnp.cross(to_second, to_third)
-    volume = jnp.sum(first * normal, axis=-1, keepdims=True)
-    volume = jnp.where(volume == 0, 1.0, volume)
-    second_plane = jnp.cross(third, first - third) / volume
-    third_plane = jnp.cross(first, to_second) / volume
-    plane = normal / volume
-    inverse_depth = _dot(plane, ray)
-    depth = 1.0 / jnp.where(inverse_depth == 0, 1.0, inverse_depth)
-    share = jnp.stack([_dot(second_plane, ray), _dot(third_plane, ray)], -1) * depth[:, None]
-    weights = jnp.concatenate([1.0 - jnp.sum(share, -1, keepdims=True), share], -1)
-    corner_texture = world.texture[known]
-    texture = jnp.einsum("nc,ncu->nu", weights, corner_texture)
+    normal = cross(to_second, to_third)
+    volume = dot(first, normal)
+    scale = 1.0 / jnp.where(volume == 0, 1.0, volume)
+    plane = normal * scale
+    depth = 1.0 / jnp.where(triangle < 0, 1.0, dot(plane, ray))
+    planes = [cross(to_third, first) * scale, cross(first, to_second) * scale]
+    shares = [dot(p, ray) * depth for p in planes]
+    corner = [world.texture[known, i].T for i in range(3)]
+    edges = [corner[1] - corner[0], corner[2] - corner[0]]
+    texture = corner[0] + edges[0] * shares[0] + edges[1] * shares[1]
     # d(share)/d(ray x, y) = depth (plane_i - share_i plane).
-    change = jnp.stack([second_plane, third_plane], 1) - share[..., None] * plane[:, None]
-    change = change[..., :2] * depth[:, None, None]
-    edges = corner_texture[:, 1:] - corner_texture[:, :1]
-    width = spacing * jnp.sum(jnp.abs(jnp.einsum("ncu,ncd->nud", edges, change)), axis=-1)
-    return Surface(triangle, weights, jnp.where(triangle < 0, jnp.inf, depth), texture, width)
-
-
-def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
-    return jnp.sum(a * b, axis=-1)
+    changes = [depth * (p - s * plane)[:2] for p, s in zip(planes, shares, strict=True)]
+    width = spacing * sum(
+        jnp.abs(edges[0] * changes[0][axis] + edges[1] * changes[1][axis]) for axis in (0, 1)
+    )
+    weights = jnp.stack([1.0 - shares[0] - shares[1], *shares])
+    depth = jnp.where(triangle < 0, jnp.inf, depth)
+    return Surface(triangle, weights, depth, texture, width, volume > 0)
 
 
 def albedo(
     world: World,
     triangle: Int[Array, " points"],
-    texture: Float[Array, "points 2"],
-    width: Float[Array, "points 2"],
-) -> Float[Array, "points 3"]:
+    texture: Float[Array, "2 points"],
+    width: Float[Array, "2 points"],
+) -> Float[Array, "3 points"]:
     """Read the material of triangles at texture coordinates, averaged over a footprint.
 
     Args:
         world: the arrays of a scene.
         triangle: (N,) not negative.
-        texture: (N, 2) footprint centers, texture coordinates.
-        width: (N, 2) footprint widths along the texture axes.
+        texture: (2, N) footprint centers, texture coordinates.
+        width: (2, N) footprint widths along the texture axes.
 
     Returns:
-        (N, 3) linear albedo.
+        (3, N) linear albedo.
     """
-    material = jax.tree.map(lambda leaf: leaf[world.triangle_material[triangle]], world.materials)
-    return filtered_albedo(material, world.noise, texture, width)
+    number = world.triangle_material[triangle]
+    return filtered_albedo(world.materials, number, world.noise, texture, width)
 
 
 def irradiance(
-    world: World, pose: Pose, triangle: Int[Array, " points"], weights: Float[Array, "points 3"]
-) -> Float[Array, "points 3"]:
+    world: World,
+    pose: Pose,
+    triangle: Int[Array, " points"],
+    weights: Float[Array, "3 points"],
+    faces_away: jax.Array,
+) -> Float[Array, "3 points"]:
     """Light that falls on a surface: sun by Lambert's law, ambient by height, and its own glow.
 
     Open surfaces are lit on the side that is seen.
@@ -112,88 +118,84 @@ def irradiance(
         world: the arrays of a scene.
         pose: the world at the time of shading.
         triangle: (N,) not negative.
-        weights: (N, 3) barycentric weights.
+        weights: (3, N) barycentric weights.
+        faces_away: (N,) bool, the back of the triangle is seen.
 
     Returns:
-        (N, 3) what the albedo is multiplied with, linear light.
+        (3, N) what the albedo is multiplied with, linear light.
     """
-    normal = jnp.einsum("nc,nci->ni", weights, pose.normals[triangle])
-    normal /= jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-20)
-    corners = pose.points[world.triangles[triangle]]
-    face = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    from_behind = ~world.closed[triangle] & (_dot(face, corners[:, 0]) > 0)
-    normal = jnp.where(from_behind[:, None], -normal, normal)
+    corners = pose.normals[triangle].reshape(-1, 9).T
+    normal = sum(weights[i] * corners[3 * i : 3 * i + 3] for i in range(3))
+    normal *= jax.lax.rsqrt(jnp.maximum(dot(normal, normal), 1e-20))
+    normal = jnp.where(faces_away & ~world.closed[triangle], -normal, normal)
     light = world.light
-    lambert = jnp.maximum(normal @ light.toward_sun, 0.0)[:, None]
-    upward = (0.5 + 0.5 * normal[:, 1])[:, None]
-    ambient = light.below + upward * (light.above - light.below)
-    glow = world.materials.glow[world.triangle_material[triangle]][:, None]
-    return lambert * light.sun + ambient + glow
+    lambert = jnp.maximum(dot(normal, light.toward_sun), 0.0)
+    upward = 0.5 + 0.5 * normal[1]
+    below, above, sun = light.below[:, None], light.above[:, None], light.sun[:, None]
+    glow = world.materials.glow[world.triangle_material[triangle]]
+    return lambert * sun + below + upward * (above - below) + glow
 
 
 def sky_color(
     light: Light,
     noise: Float[Array, " texels"],
-    direction: Float[Array, "points 3"],
+    direction: Float[Array, "3 points"],
     spacing: Float[Array, ""],
-) -> Float[Array, "points 3"]:
+) -> Float[Array, "3 points"]:
     """Color of the sky: a gradient with clouds, a glow around the sun, and haze below.
 
     Args:
         light: of the scene.
         noise: texels of the noise texture.
-        direction: (N, 3) world axes, any length but zero.
+        direction: (3, N) world axes, any length but zero.
         spacing: () angle of the footprint in radians.
 
     Returns:
-        (N, 3) linear light.
+        (3, N) linear light.
     """
-    unit = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-    height = unit[:, 1:2]
-    rise = jnp.sqrt(jnp.clip(height, 0.0, 1.0))
+    unit = direction * jax.lax.rsqrt(dot(direction, direction))
+    height = unit[1]
+    horizon, zenith, ground = light.horizon[:, None], light.zenith[:, None], light.ground[:, None]
     fall = jnp.clip(-8.0 * height, 0.0, 1.0)
-    gradient = light.horizon + rise * (light.zenith - light.horizon)
-    gradient = gradient + fall * (light.ground - gradient)
+    gradient = horizon + jnp.sqrt(jnp.clip(height, 0.0, 1.0)) * (zenith - horizon)
+    gradient = gradient + fall * (ground - gradient)
     # Clouds on a plane overhead; the shift keeps the horizon from being infinitely far.
     lift = jnp.maximum(height, 0.0) + 0.12
     stretch = CLOUD_SCALE / lift
-    width = jnp.broadcast_to(spacing * stretch / lift, unit[:, :2].shape)
-    cover = filtered_noise(noise, unit[:, ::2] * stretch, jnp.maximum(width, 1 / NOISE_SIZE**2))
-    share = light.clouds * jnp.clip(2.5 * (cover[:, None] - 0.45), 0, 1) * (1 - fall)
-    bright = light.horizon + 0.12
-    aureole = 0.35 * jnp.maximum(unit @ light.toward_sun, 0.0)[:, None] ** 24
-    return gradient + share * (bright - gradient) + aureole * light.sun
+    width = jnp.maximum(spacing * stretch / lift, 1 / NOISE_SIZE**2)
+    cover = filtered_noise(noise, unit[::2] * stretch, jnp.stack([width, width]))
+    share = light.clouds * jnp.clip(2.5 * (cover - 0.45), 0, 1) * (1 - fall)
+    aureole = 0.35 * jnp.maximum(dot(unit, light.toward_sun), 0.0) ** 24
+    return gradient + share * (horizon + 0.12 - gradient) + aureole * light.sun[:, None]
 
 
 def shade(
     world: World,
     pose: Pose,
     surface: Surface,
-    ray: Float[Array, "points 3"],
+    ray: Float[Array, "3 points"],
     spacing: Float[Array, ""],
-) -> Float[Array, "points 3"]:
+) -> Float[Array, "3 points"]:
     """Color of what each ray hits, or of the sky.
 
     Args:
         world: the arrays of a scene.
         pose: the world at the time of the rays.
         surface: the points hit.
-        ray: (N, 3) camera space.
+        ray: (3, N) camera space.
         spacing: () footprint of the sky, radians.
 
     Returns:
-        (N, 3) linear light.
+        (3, N) linear light.
     """
     known = jnp.maximum(surface.triangle, 0)
     color = albedo(world, known, surface.texture, surface.width)
-    color = color * irradiance(world, pose, known, surface.weights)
-    is_sky = (surface.triangle < 0)[:, None]
-    return jax.lax.cond(
-        jnp.any(is_sky),
-        lambda: jnp.where(
-            is_sky,
-            sky_color(world.light, world.noise, ray @ pose.camera_rotation.T, spacing),
-            color,
-        ),
-        lambda: color,
-    )
+    color = color * irradiance(world, pose, known, surface.weights, surface.faces_away)
+    is_sky = surface.triangle < 0
+
+    def with_sky() -> jax.Array:
+        direction = pose.camera_rotation @ ray
+        return jnp.where(is_sky, sky_color(world.light, world.noise, direction, spacing), color)
+
+    # Many scenes fill the frame, and clouds cost eight texel reads a pixel.
+    return jax.lax.cond(jnp.any(is_sky), with_sky, lambda: color)

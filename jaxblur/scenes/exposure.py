@@ -1,0 +1,231 @@
+"""The streamed mean of sharp images, each with one ray per pixel."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .raster import Capacity, covered_rows, enough, rays, visible_triangles
+from .scene import Scene, World, pose_at
+from .shading import shade, surface_at
+
+SAMPLE_BLOCK = 1024
+PROBE_ROWS = 4096
+
+
+class Exposure(NamedTuple):
+    """When and where within the pixel each sample is taken.
+
+    Arrays are padded, so that the number of samples does not recompile anything.
+
+    Attributes:
+        times: (N,) frames.
+        offsets: (N, 2) x and y from the pixel center, pixels.
+        count: () samples in use.
+        curve: (K,) transmission from opening to closing, used with a rolling shutter only.
+        center: () frames, middle of the exposure of the middle of the image.
+        shutter: () frames.
+        readout: () frames between the exposures of the upper and the lower edge of the image.
+    """
+
+    times: jax.Array
+    offsets: jax.Array
+    count: jax.Array
+    curve: jax.Array
+    center: jax.Array
+    shutter: jax.Array
+    readout: jax.Array
+
+
+def make_exposure(
+    times: np.ndarray,
+    *,
+    curve: np.ndarray | tuple[float, ...] = (1.0, 1.0),
+    center: float = 0.0,
+    shutter: float = 0.0,
+    readout: float = 0.0,
+) -> Exposure:
+    """Pair times with positions in the pixel, and pad.
+
+    Args:
+        times: (N,) frames.
+        curve: (K,) transmission from opening to closing.
+        center: frames, middle of the exposure.
+        shutter: frames.
+        readout: frames from the upper to the lower edge of the image.
+
+    Returns:
+        The exposure.
+    """
+    padding = -len(times) % SAMPLE_BLOCK
+    return Exposure(
+        jnp.asarray(np.pad(times, (0, padding), mode="edge"), jnp.float32),
+        jnp.asarray(np.pad(subpixel_offsets(len(times)), ((0, padding), (0, 0))), jnp.float32),
+        jnp.int32(len(times)),
+        jnp.asarray(curve, jnp.float32),
+        jnp.float32(center),
+        jnp.float32(shutter),
+        jnp.float32(readout),
+    )
+
+
+def subpixel_offsets(count: int) -> Float[np.ndarray, "samples 2"]:
+    """Spread positions evenly over a pixel by the R2 sequence [Roberts 2018].
+
+    Args:
+        count: number of positions.
+
+    Returns:
+        (count, 2) offsets x, y from the pixel center; their mean is zero, and they lie in
+        (-1, 1), for many positions in [-1/2, 1/2).
+    """
+    golden = 1.32471795724474602596
+    points = np.outer(np.arange(count), [1 / golden, 1 / golden**2]) % 1.0
+    # Without its mean the sequence would shift the image by a part of a pixel.
+    return points - points.mean(axis=0)
+
+
+def integrate(
+    scene: Scene, exposure: Exposure, size: tuple[int, int]
+) -> Float[Array, "height width 3"]:
+    """Average sharp images over an exposure; memory does not depend on their number.
+
+    The capacity of the rasterizer is found at the first, middle and last sample; should another
+    sample need more, the sum is started again with more.
+
+    Args:
+        scene: what to render.
+        exposure: the samples.
+        size: (height, width) in pixels.
+
+    Returns:
+        (H, W, 3) linear light.
+    """
+    last = int(exposure.count) - 1
+    probes = np.asarray(exposure.times)[[0, last // 2, last]]
+    capacity = needed_capacity(scene.world, probes, size)
+    rolling = bool(exposure.readout)
+    while True:
+        mean, needed = _integrate(scene.world, exposure, size, capacity, rolling)
+        if fits(needed, capacity):
+            return mean
+        capacity = enough(*needed.tolist())
+
+
+def needed_capacity(world: World, times: np.ndarray, size: tuple[int, int]) -> Capacity:
+    """Count rows and fragments at some times and round them up.
+
+    Args:
+        world: the arrays of a scene.
+        times: (T,) frames; compiled anew for every T.
+        size: (height, width).
+
+    Returns:
+        Capacity that suffices at these times for pixel centers; others may need more.
+    """
+    moments = jnp.asarray(times, jnp.float32)
+    capacity = enough(PROBE_ROWS, 0)
+    while not fits(needed := _count(world, moments, size, capacity.rows), capacity):
+        grown = enough(*needed.tolist())
+        if grown.rows == capacity.rows:
+            return grown
+        capacity = grown
+    return enough(*needed.tolist())
+
+
+def fits(needed: jax.Array, capacity: Capacity) -> bool:
+    """Tell whether (rows, fragments) needed are within the capacity."""
+    rows, fragments = needed.tolist()
+    return rows <= capacity.rows and fragments <= capacity.fragments
+
+
+def sample_color(
+    world: World,
+    time: Float[Array, ""],
+    offset: Float[Array, " 2"],
+    footprint: Float[Array, ""],
+    size: tuple[int, int],
+    capacity: Capacity,
+) -> tuple[Float[Array, "height width 3"], Array]:
+    """Render one sharp image with one ray per pixel.
+
+    Args:
+        world: the arrays of a scene.
+        time: () frames.
+        offset: (2,) x and y of the ray from the pixel center, pixels.
+        footprint: () width over which textures are averaged, pixels.
+        size: static (height, width).
+        capacity: static.
+
+    Returns:
+        (H, W, 3) linear light, and (2,) the rows and fragments needed.
+    """
+    pose = pose_at(world, time)
+    focal = world.camera.focal * size[1]
+    seen = visible_triangles(
+        pose.points, world.triangles, world.closed, focal, offset, size, capacity
+    )
+    ray = rays(focal, offset, size)
+    surface = surface_at(world, pose, seen.triangle.reshape(-1), ray, footprint / focal)
+    color = shade(world, pose, surface, ray, footprint / focal)
+    return color.T.reshape(*size, 3), seen.needed
+
+
+@functools.partial(jax.jit, static_argnames=("size", "capacity"))
+def _count(world: World, times: Array, size: tuple[int, int], capacity: int) -> Array:
+    focal = world.camera.focal * size[1]
+
+    def count(time: Array) -> Array:
+        points = pose_at(world, time).points
+        rows = covered_rows(
+            points, world.triangles, world.closed, focal, jnp.zeros(2), size, capacity
+        )
+        return jnp.stack([rows.needed, jnp.sum(rows.count)])
+
+    return jnp.max(jax.lax.map(count, times), axis=0)
+
+
+def row_weights(exposure: Exposure, time: Float[Array, ""], height: int) -> Float[Array, " height"]:
+    """Light that a rolling shutter lets through to each row at one time.
+
+    Args:
+        exposure: of the image.
+        time: () frames.
+        height: number of rows.
+
+    Returns:
+        (H,) the curve at the row's own position in its exposure, 0 outside.
+    """
+    rows = (jnp.arange(height) + 0.5) / height - 0.5
+    position = (time - exposure.center - exposure.readout * rows) / exposure.shutter + 0.5
+    grid = jnp.linspace(0.0, 1.0, exposure.curve.shape[0])
+    return jnp.interp(position, grid, exposure.curve, left=0.0, right=0.0)
+
+
+@functools.partial(jax.jit, static_argnames=("size", "capacity", "rolling"))
+def _integrate(
+    world: World, exposure: Exposure, size: tuple[int, int], capacity: Capacity, rolling: bool
+) -> tuple[Array, Array]:
+    """Give the weighted mean, and the capacity needed; stop early once it is exceeded."""
+    # Each sample averages textures over its share of the pixel.
+    footprint = jax.lax.rsqrt(exposure.count.astype(jnp.float32))
+    limit = jnp.array([capacity.rows, capacity.fragments])
+
+    def unfinished(state: tuple[Array, ...]) -> Array:
+        i, _, _, needed = state
+        return (i < exposure.count) & jnp.all(needed <= limit)
+
+    def add(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        i, total, weights, needed = state
+        time = exposure.times[i]
+        color, count = sample_color(world, time, exposure.offsets[i], footprint, size, capacity)
+        weight = row_weights(exposure, time, size[0]) if rolling else jnp.ones(size[0])
+        total = total + weight[:, None, None] * color
+        return i + 1, total, weights + weight, jnp.maximum(needed, count)
+
+    start = (jnp.int32(0), jnp.zeros((*size, 3)), jnp.zeros(size[0]), jnp.zeros(2, jnp.int32))
+    _, total, weights, needed = jax.lax.while_loop(unfinished, add, start)
+    return total / jnp.maximum(weights, 1e-20)[:, None, None], needed
