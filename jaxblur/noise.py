@@ -31,22 +31,19 @@ class Noise:
 
 
 def interleaved_gradient(
-    height: int, width: int, offset: float = 0.0
-) -> Float[Array, "{height} {width}"]:
+    x: Float[Array, "*shape"], y: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
     """Interleaved gradient noise, ``frac(52.9829189 frac(0.06711056 x + 0.00583715 y))``.
 
     Source: Jimenez, Next Generation Post Processing in Call of Duty, SIGGRAPH course 2014.
 
     Args:
-        height: rows.
-        width: columns.
-        offset: pixels added to both coordinates; other offsets give decorrelated patterns.
+        x: columns of the pixels.
+        y: rows of the pixels.
 
     Returns:
-        (height, width) values in [0, 1).
+        Values in [0, 1).
     """
-    x = jnp.arange(width, dtype=jnp.float32) + offset
-    y = jnp.arange(height, dtype=jnp.float32)[:, None] + offset
     inner = (0.06711056 * x + 0.00583715 * y) % 1.0
     return (52.9829189 * inner) % 1.0
 
@@ -66,8 +63,9 @@ def _uniform(kind: NoiseKind, height: int, width: int) -> Float[Array, "{height}
     if kind == "halton":
         repeats = (-(-height // _HALTON_BLOCK), -(-width // _HALTON_BLOCK), 1)
         return jnp.tile(_halton_block(), repeats)[:height, :width]
-    # 5.588238 is the offset between frames that Jimenez gives; multiples decorrelate as well.
-    planes = [interleaved_gradient(height, width, 5.588238 * k) for k in (0, 7, 17)]
+    y, x = jnp.mgrid[:height, :width].astype(jnp.float32)
+    # Shifted copies of one pattern correlate (up to 0.7); turned ones do not.
+    planes = [interleaved_gradient(x, y), interleaved_gradient(y, x), interleaved_gradient(y, -x)]
     return jnp.stack(planes, axis=-1)
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from .safe_math import safe_divide, safe_norm, safe_normalize
@@ -18,7 +19,7 @@ RING = ((0, 0), (-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1
 
 
 def clamp_speed(
-    velocity: Float[Array, "height width 2"], radius: float
+    velocity: Float[Array, "height width 2"], radius: int
 ) -> tuple[Float[Array, "height width 2"], Float[Array, "height width"]]:
     """Clamp half-spreads radially to the radius: ``v min(1, r / ||v||)``.
 
@@ -76,9 +77,15 @@ def tile_argmax(
     return winner
 
 
-def tile_max(
-    velocity: Float[Array, "height width 2"], radius: int
-) -> Float[Array, "tile_rows tile_columns 2"]:
+def _vectors(name: str, vectors: ArrayLike) -> jax.Array:
+    """The argument as an array of 2-D vectors on a grid, its shape checked."""
+    vectors = jnp.asarray(vectors)
+    if vectors.ndim != 3 or vectors.shape[-1] != 2:
+        raise ValueError(f"`{name}` must have shape (rows, columns, 2), got {vectors.shape}.")
+    return vectors
+
+
+def tile_max(velocity: ArrayLike, radius: int) -> Float[Array, "tile_rows tile_columns 2"]:
     """The velocity of largest norm in each tile, "TileMax".
 
     ``TileMax[t] = vmax_{p in tile t} V[p]``
@@ -95,15 +102,14 @@ def tile_max(
     Raises:
         ValueError: the velocity has another shape, or the radius is below 1.
     """
-    if velocity.ndim != 3 or velocity.shape[-1] != 2:
-        raise ValueError(f"`velocity` must have shape (height, width, 2), got {velocity.shape}.")
+    velocity = _vectors("velocity", velocity)
     if radius < 1:
         raise ValueError(f"`radius` must be at least 1, got {radius}.")
     speed = safe_norm(velocity[..., 0], velocity[..., 1])
     return velocity.reshape(-1, 2)[tile_argmax(speed, radius)]
 
 
-def _shifted(tiles: jax.Array, offset: tuple[int, int], fill: float) -> jax.Array:
+def _shifted(tiles: jax.Array, offset: tuple[int, int], fill: float | bool) -> jax.Array:
     """``tiles[row + oy, column + ox]`` for an offset (ox, oy), ``fill`` outside the grid."""
     ox, oy = offset
     padding = ((1, 1), (1, 1), *((0, 0),) * (tiles.ndim - 2))
@@ -138,16 +144,14 @@ def neighbor_argmax(
     for ox, oy in RING:
         counts = (slope * (ox * oy) > 0) | (ox * oy == 0) | (diagonal == "all")
         # The rule looks at the neighbor, so it is applied before the shift.
-        keys.append(_shifted(jnp.where(counts, speed, -1), (ox, oy), -1))
+        keys.append(_shifted(jnp.where(counts, speed, -1), (ox, oy), -1.0))
     winner = jnp.argmax(lax.stop_gradient(jnp.stack(keys)), axis=0)
     rows, columns = speed.shape
     offset = jnp.asarray([oy * columns + ox for ox, oy in RING], jnp.int32)
     return jnp.arange(rows * columns, dtype=jnp.int32).reshape(rows, columns) + offset[winner]
 
 
-def neighbor_max(
-    tiles: Float[Array, "rows columns 2"], diagonal: str = "reaching"
-) -> Float[Array, "rows columns 2"]:
+def neighbor_max(tiles: ArrayLike, diagonal: str = "reaching") -> Float[Array, "rows columns 2"]:
     """The velocity of largest norm in the 3 x 3 ring of each tile, "NeighborMax".
 
     ``NeighborMax[t] = vmax_{u in ring of t} TileMax[u]``
@@ -165,8 +169,7 @@ def neighbor_max(
     Raises:
         ValueError: the tiles have another shape, or ``diagonal`` is unknown.
     """
-    if tiles.ndim != 3 or tiles.shape[-1] != 2:
-        raise ValueError(f"`tiles` must have shape (rows, columns, 2), got {tiles.shape}.")
+    tiles = _vectors("tiles", tiles)
     speed = safe_norm(tiles[..., 0], tiles[..., 1])
     return tiles.reshape(-1, 2)[neighbor_argmax(tiles, speed, diagonal)]
 
@@ -194,7 +197,7 @@ def dominant_velocity(
     return tiles.reshape(-1, 2)[winner]
 
 
-def tile_variance(tiles: Float[Array, "rows columns 2"]) -> Float[Array, "rows columns"]:
+def tile_variance(tiles: ArrayLike) -> Float[Array, "rows columns"]:
     """Angular variance of each tile's velocity within its 3 x 3 ring.
 
     ``v(t) = 1 - 1/|N| sum_{u in N} |w(t) . w(u)|``, ``w = v / ||v||``, N the ring inside the grid.
@@ -207,14 +210,18 @@ def tile_variance(tiles: Float[Array, "rows columns 2"]) -> Float[Array, "rows c
 
     Returns:
         (rows, columns) in [0, 1]; 0 where all directions agree.
+
+    Raises:
+        ValueError: the tiles have another shape.
     """
+    tiles = _vectors("tiles", tiles)
     x, y = safe_normalize(tiles[..., 0], tiles[..., 1])
     still = (x == 0) & (y == 0)
     aligned, count = 0.0, 0.0
     for offset in RING:
-        dot = jnp.abs(x * _shifted(x, offset, 0) + y * _shifted(y, offset, 0))
+        dot = jnp.abs(x * _shifted(x, offset, 0.0) + y * _shifted(y, offset, 0.0))
         dot = jnp.where(still | _shifted(still, offset, False), 1, dot)
-        inside = _shifted(jnp.ones_like(dot), offset, 0)
+        inside = _shifted(jnp.ones_like(dot), offset, 0.0)
         aligned, count = aligned + inside * dot, count + inside
     return 1 - aligned / count
 

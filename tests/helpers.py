@@ -2,8 +2,10 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.test_util import check_grads
 
 import jaxblur
 
@@ -46,3 +48,15 @@ def as_arrays(frame):
 def fields(record):
     """The fields of a dataclass as a plain dict."""
     return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def check_gradients(function, *arguments, order=1):
+    """Forward and reverse derivatives against finite differences, in float64.
+
+    Call it inside ``jax.enable_x64(True)``, away from kinks.
+    """
+
+    def on_arrays(*values):
+        return function(*jax.tree.map(jnp.asarray, values))
+
+    check_grads(on_arrays, arguments, order=order, modes=("fwd", "rev"))

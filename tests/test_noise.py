@@ -1,0 +1,49 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur.noise import make_noise
+from tests.helpers import random_frame
+
+
+@pytest.mark.parametrize("kind", ["ign", "halton"])
+def test_noise_is_uniform_and_independent(kind):
+    noise = make_noise(kind, 96, 128)
+    values = np.stack([noise.tap / 2, noise.tile[..., 0], noise.tile[..., 1]])
+    assert values.min() >= -0.5 and values.max() < 0.5
+    for plane in values:
+        histogram, _ = np.histogram(plane, bins=8, range=(-0.5, 0.5))
+        np.testing.assert_allclose(histogram / plane.size, 1 / 8, atol=0.01)
+    correlation = np.corrcoef(values.reshape(3, -1))
+    np.testing.assert_allclose(correlation, np.eye(3), atol=0.05)
+
+
+def test_none_is_zero():
+    noise = make_noise("none", 3, 4)
+    assert not noise.tap.any() and not noise.tile.any()
+
+
+def test_interleaved_gradient_noise_at_a_hand_checked_pixel():
+    # x = 3, y = 2: 0.06711056 * 3 + 0.00583715 * 2 = 0.21300598; times 52.9829189 = 11.28567879
+    assert make_noise("ign", 4, 5).tap[2, 3] == pytest.approx(2 * 0.28567879 - 1, abs=1e-4)
+
+
+def test_halton_starts_with_its_known_points():
+    tap = make_noise("halton", 1, 4).tap
+    np.testing.assert_allclose((tap[0] + 1) / 2, [0, 1 / 2, 1 / 4, 3 / 4])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tap": jnp.zeros((3, 4))}, r"`noise.tap` must have shape \(4, 5\), got \(3, 4\)"),
+        ({"tile": jnp.zeros((4, 5))}, r"`noise.tile` must have shape \(4, 5, 2\), got \(4, 5\)"),
+    ],
+)
+def test_explicit_noise_of_another_shape_is_refused(change, message):
+    arrays = {"tap": jnp.zeros((4, 5)), "tile": jnp.zeros((4, 5, 2))} | change
+    with pytest.raises(ValueError, match=message):
+        jaxblur.guertin2014(
+            random_frame((4, 5)), jaxblur.GuertinParameters(), noise=jaxblur.Noise(**arrays)
+        )

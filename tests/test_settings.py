@@ -1,0 +1,51 @@
+import pytest
+
+import jaxblur
+from jaxblur.filters import FILTERS, PUBLISHED
+from tests.helpers import random_frame
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"samples": 0}, "`samples` must be at least 1, got 0"),
+        ({"radius": 0}, "`radius` must be at least 1, got 0"),
+        ({"samples": 2.5}, "`samples` must be a whole number, got 2.5"),
+        ({"radius": True}, "`radius` must be a whole number, got True"),
+        ({"border": "wrap"}, "`border` must be one of 'skip', 'clamp', got 'wrap'"),
+        ({"fetch": "cubic"}, "`fetch` must be one of"),
+        ({"tile_choice": "all"}, "`tile_choice` must be one of"),
+        ({"split": "odd"}, "`split` must be one of"),
+        ({"noise": "blue"}, "`noise` must be one of"),
+    ],
+)
+def test_settings_refuse(change, message):
+    with pytest.raises(ValueError, match=message):
+        jaxblur.Settings(**change)
+
+
+def test_mcguire_refuses_an_even_number_of_samples():
+    with pytest.raises(ValueError, match=r"must be odd for mcguire2012, got 14; use 15"):
+        jaxblur.mcguire2012(
+            random_frame((4, 4)),
+            jaxblur.McGuireParameters(),
+            settings=jaxblur.Settings(samples=14),
+        )
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_equal_settings_trace_once(name):
+    parameters, settings = PUBLISHED[name]
+    frame = random_frame((5, 6))
+    FILTERS[name](frame, parameters, settings=settings)
+    count = FILTERS[name]._cache_size()
+    fields = {field: getattr(settings, field) for field in settings.__dataclass_fields__}
+    FILTERS[name](frame, parameters, settings=jaxblur.Settings(**fields))
+    assert FILTERS[name]._cache_size() == count
+
+
+def test_filters_and_published_settings_name_the_same():
+    assert FILTERS.keys() == PUBLISHED.keys()
+    assert jaxblur.GuertinParameters() == jaxblur.GuertinParameters(
+        kappa=40.0, gamma=1.5, tau=1.0, eta=0.95, phi=27.0, depth_sharpness=1.0
+    )
