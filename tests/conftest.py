@@ -25,7 +25,8 @@ def pytest_addoption(parser):
         "--reference-data",
         type=Path,
         metavar="DIR",
-        help="folder of scenes rendered with true motion blur; without it their tests skip",
+        help="folder of scenes rendered with true motion blur, given with an equals sign; "
+        "without it their tests skip",
     )
 
 
@@ -40,5 +41,5 @@ def reference_data(request) -> Path:
     """The folder of rendered scenes, one sub-folder each; skips the test where not given."""
     folder = request.config.getoption("--reference-data")
     if folder is None:
-        pytest.skip("needs rendered scenes: pass --reference-data DIR")
+        pytest.skip("needs rendered scenes: pass --reference-data=DIR")
     return folder
