@@ -11,7 +11,9 @@ CUBE_NEXT = DATA / "cube_over_crates_frame_0012.exr"
 CAR = DATA / "sky_car_frame_0011.exr"
 
 
-def make_spec(channels, types="float", name="", origin=(0, 0), display=None, **attributes):
+def make_spec(
+    channels, types: str | list[str] = "float", name="", origin=(0, 0), display=None, **attributes
+):
     """A header for ``{channel: (H, W) array}``; ``types`` is one name or one per channel."""
     height, width = next(iter(channels.values())).shape
     kinds = [types] * len(channels) if isinstance(types, str) else list(types)
@@ -34,6 +36,7 @@ def make_spec(channels, types="float", name="", origin=(0, 0), display=None, **a
 def write_parts(path, parts):
     """Write ``[(spec, {channel: array})]``, one part each."""
     output = oiio.ImageOutput.create(str(path))
+    assert output is not None, oiio.geterror()
     specs = [spec for spec, _ in parts]
     assert output.open(str(path), specs[0] if len(specs) == 1 else tuple(specs))
     for index, (spec, channels) in enumerate(parts):
@@ -44,7 +47,7 @@ def write_parts(path, parts):
     return path
 
 
-def write_single(path, channels, types="float", **options):
+def write_single(path, channels, types: str | list[str] = "float", **options):
     """Write one part from ``{channel: (H, W) array}``."""
     return write_parts(path, [(make_spec(channels, types, **options), channels)])
 
@@ -52,11 +55,32 @@ def write_single(path, channels, types="float", **options):
 def read_raw(path, part=0, kind="native"):
     """All pixels of a part as stored, with its header."""
     source = oiio.ImageInput.open(str(path))
-    assert source.seek_subimage(part, 0)
+    assert source is not None and source.seek_subimage(part, 0), oiio.geterror()
     spec = source.spec()
     pixels = source.read_image(part, 0, 0, spec.nchannels, kind)
     source.close()
     return spec, pixels
+
+
+def read_stored(path, channel, kind):
+    """One channel of the first part, converted to nothing if ``kind`` is its own type."""
+    source = oiio.ImageInput.open(str(path))
+    assert source is not None, oiio.geterror()
+    index = source.spec().channelindex(channel)
+    pixels = source.read_image(0, 0, index, index + 1, kind)
+    source.close()
+    assert isinstance(pixels, np.ndarray)
+    return pixels[..., 0]
+
+
+def write_bytes(path, pixels):
+    """Write (H, W, C) uint8 values as they are, for example as PNG."""
+    height, width, channels = pixels.shape
+    output = oiio.ImageOutput.create(str(path))
+    assert output is not None, oiio.geterror()
+    assert output.open(str(path), oiio.ImageSpec(width, height, channels, "uint8"))
+    assert output.write_image(pixels) and output.close(), output.geterror()
+    return path
 
 
 def plain_frame(shape=(4, 6), seed=0):

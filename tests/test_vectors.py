@@ -72,6 +72,7 @@ def test_a_hand_checked_vector_of_every_preset(preset):
 def test_a_straight_path_from_both_sides(preset, raw):
     velocity, path = convert(preset, raw)
     np.testing.assert_allclose(velocity, [2, 1])
+    assert path is not None
     np.testing.assert_allclose(path, [[-2, -1], [2, 1]])
 
 
@@ -79,8 +80,10 @@ def test_blender_path_is_the_parabola_through_three_positions():
     # Previous position (-6, 1), next (10, 3), in rows that run down.
     velocity, path = convert("blender", [-6, -1, -10, 3], shutter=1.0)
     np.testing.assert_allclose(velocity, [4, 0.5])
+    assert path is not None
     np.testing.assert_allclose(path, [[-3.5, 0], [4.5, 1]])
     _, full = convert("blender", [-6, -1, -10, 3], shutter=2.0)
+    assert full is not None
     np.testing.assert_allclose(full, [[-6, 1], [10, 3]])
 
 
@@ -237,7 +240,8 @@ def test_presets_are_consistent_data():
 def pan(shift, shape=(40, 60), seed=3):
     """A smooth random picture and the same moved by whole pixels ``(x, y)``."""
     noise = np.random.default_rng(seed).random((*shape, 3))
-    smooth = sum(np.roll(noise, (i, j), (0, 1)) for i in range(3) for j in range(3)) / 9
+    shifts = [(i, j) for i in range(3) for j in range(3)]
+    smooth = np.mean([np.roll(noise, shift, (0, 1)) for shift in shifts], axis=0)
     return smooth, np.roll(smooth, (shift[1], shift[0]), (0, 1))
 
 
@@ -283,8 +287,8 @@ def test_both_blender_sides_lead_to_the_neighboring_frames():
     """The next frame's X, Y must lead back to this one, as this one's Z, W lead on."""
     guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
     raw = exr.read_channels(CUBE_NEXT, guess.channels)
-    options = {"size": raw.shape[:2]}
-    back = vectors.to_displacements(raw, guess, **options).previous
+    size = (raw.shape[0], raw.shape[1])
+    back = vectors.to_displacements(raw, guess, size=size).previous
     assert back is not None
     ranking = vectors.rank_conventions(exr.read_image(CUBE_NEXT), exr.read_image(CUBE), back)
     best = ranking.candidates[0]

@@ -217,7 +217,7 @@ def pending_message(source: Any = None) -> str:
             messages.append(get())
         except (UnicodeDecodeError, RuntimeError):
             messages.append("the reader's message is not text, the file is probably damaged")
-    text = "; ".join(dict.fromkeys(m.strip() for m in messages if m.strip()))
+    text = "; ".join(dict.fromkeys(_printable(m).strip() for m in messages if m.strip()))
     return " ".join(text.split()) or "no reason given"
 
 
@@ -316,7 +316,7 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
 def _describe_part(spec: Any, index: int) -> Part:
     formats = spec.channelformats or [spec.format] * spec.nchannels
     channels = tuple(
-        Channel(name, str(kind), index, position)
+        Channel(_printable(name), str(kind), index, position)
         for position, (name, kind) in enumerate(zip(spec.channelnames, formats, strict=True))
     )
     attributes = _attributes(spec)
@@ -334,10 +334,14 @@ def _describe_part(spec: Any, index: int) -> Part:
 def _attributes(spec: Any) -> dict[str, Any]:
     values = {}
     for attribute in spec.extra_attribs:
-        # Studios write names in local encodings; one such value must not hide the others.
-        with contextlib.suppress(UnicodeDecodeError):
-            values[attribute.name] = attribute.value
+        value = attribute.value
+        values[_printable(attribute.name)] = _printable(value) if type(value) is str else value
     return values
+
+
+def _printable(text: str) -> str:
+    """Spell out bytes that are not UTF-8, as studios with local encodings write them."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
 def _qualified(part: Part) -> Part:

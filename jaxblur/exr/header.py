@@ -24,7 +24,7 @@ def relabel_as_uint(path: str, part: int, channel_names: Collection[str]) -> Non
         part: index of the part.
         channel_names: names as stored in the channel list.
     """
-    wanted = {name.encode() for name in channel_names}
+    wanted = {name.encode("utf-8", "surrogateescape") for name in channel_names}
     with open(path, "r+b") as file, mmap.mmap(file.fileno(), 0) as data:
         for name, offset in _channel_types(data, part):
             if name in wanted:

@@ -155,7 +155,7 @@ def read_buffers(
 
     vector_info = inspect(velocity_from) if velocity_from else info
     guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
-    raw = _read_data(vector_info, guess.channels, info, color)
+    raw = _read_data(vector_info, guess.channels, info, group.channels[0])
     raw = _finite(raw, vector_info.path, guess.channels, non_finite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     # Damaged values overflow here; the check below or the caller's statistics report them.
@@ -174,7 +174,7 @@ def read_buffers(
     channel = choose_depth(
         depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
     )
-    raw_depth = _read_data(depth_info, [channel], info, color)[..., 0]
+    raw_depth = _read_data(depth_info, [channel], info, group.channels[0])[..., 0]
     distance = to_distance(raw_depth, kind, depth_info.path, channel)
     return Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
 
@@ -276,20 +276,26 @@ def _depth_kind(depth: str, guess: vectors.Guess, path: PathLike) -> str:
 
 
 def _read_data(
-    data: FileInfo, names: Sequence[str], picture: FileInfo, color: np.ndarray
+    data: FileInfo, names: Sequence[str], picture: FileInfo, color_name: str
 ) -> np.ndarray:
-    """Read vectors or depth and hold their size against the color's."""
+    """Read vectors or depth and hold their data window against the color's."""
     values = read_channels(data.path, names)
-    if values.shape[:2] != color.shape[:2]:
-        (rows, columns), (height, width) = values.shape[:2], color.shape[:2]
+    window, wanted = _window(data, names[0]), _window(picture, color_name)
+    if window != wanted:
         raise JaxblurIOError(
             data.path,
-            f"{', '.join(names)}: {columns}x{rows} pixels, but the color of {picture.path} has "
-            f"{width}x{height}; render them with the same data window.",
+            f"{', '.join(names)}: pixels {window}, but the color of {picture.path} has {wanted}; "
+            "render them with the same data window.",
         )
     for name in names:
         _warn_lossy(data, data.channel(name))
     return values
+
+
+def _window(info: FileInfo, channel: str) -> str:
+    """Spell out a data window, such as ``6x4 at (-1, 0)``."""
+    x, y, width, height = info.parts[info.channel(channel).part].data_window
+    return f"{width}x{height} at ({x}, {y})"
 
 
 def _decode(

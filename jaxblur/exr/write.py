@@ -231,8 +231,9 @@ def _plan_part(
         kinds[position] = dtype or ("half" if kinds[position] == "half" else "float")
     uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if replaced else ()
     header = oiio.ImageSpec(spec)
-    header.nchannels = len(kept)
-    header.channelnames = tuple(spec.channelnames[channel.index] for channel in kept)
+    if len(kept) < len(part.channels):
+        header.nchannels = len(kept)
+        header.channelnames = tuple(spec.channelnames[channel.index] for channel in kept)
     _set_formats(header, ["float" if i in uint else kind for i, kind in enumerate(kinds)])
     scheme = part.compression.partition(":")[0]
     allowed = TYPE_BLIND if uint else LOSSLESS

@@ -18,7 +18,8 @@ class SpeedStatistics:
         percentiles: speed by percentile of the finite vectors; all 0 if there are none.
         zero_share: share of pixels with exactly no motion, 0..1.
         non_finite_share: share of pixels with NaN or infinity, 0..1.
-        beyond_share: share of pixels with finite vectors faster than ``radius``, which a filter would clamp, 0..1.
+        beyond_share: share of pixels with a finite speed above ``radius``, which a filter would
+            clamp, 0..1.
         radius: the radius that ``beyond_share`` refers to, pixels.
         suggested_radius: the largest finite speed rounded up to a multiple of `RADIUS_STEP`, at
             least one step and at most the larger side of the image.
