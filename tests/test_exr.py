@@ -238,15 +238,32 @@ def test_impossible_speeds_are_refused(tmp_path):
         exr.read_frame(path)
 
 
-def test_lossy_compression_of_vectors_is_reported(tmp_path):
-    path = write_single(tmp_path / "a.exr", plain_frame(), compression="pxr24")
-    with pytest.warns(exr.JaxblurIOWarning) as caught:
-        exr.read_buffers(path)
-    assert [str(w.message).split(" is ")[0].split(": ")[1] for w in caught] == [
-        "velocity.X",
-        "velocity.Y",
-        "Z",
-    ]
+@pytest.mark.parametrize(
+    ("compression", "types", "lossy"),
+    [
+        ("pxr24", "float", ["velocity.X", "velocity.Y", "Z"]),
+        ("pxr24", "half", []),
+        ("b44", "half", ["velocity.X", "velocity.Y", "Z"]),
+        ("b44", "float", []),
+        ("dwaa", "float", ["velocity.Y"]),
+        ("zip", "float", []),
+    ],
+)
+def test_lossy_compression_of_vectors_is_reported_where_it_loses(
+    tmp_path, recwarn, compression, types, lossy
+):
+    plain = plain_frame((64, 64))
+    if types == "half":
+        plain = {name: v.astype(np.float16).astype(np.float32) for name, v in plain.items()}
+    path = write_single(tmp_path / "a.exr", plain, types, compression=compression)
+    data = ["velocity.X", "velocity.Y", "Z"]
+    stored = exr.read_channels(path, data)
+    changed = [name for i, name in enumerate(data) if (stored[..., i] != plain[name]).any()]
+    assert changed == lossy
+    exr.read_buffers(path)
+    reported = [str(warning.message) for warning in recwarn]
+    assert [text.split(": ")[1].split(" is ")[0] for text in reported] == lossy
+    assert all(f"lossy compression ({compression})" in text for text in reported)
 
 
 def test_missing_and_ambiguous_channels_are_named(tmp_path):

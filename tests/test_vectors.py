@@ -296,6 +296,22 @@ def test_both_blender_sides_lead_to_the_neighboring_frames():
     assert best.error < 0.5 * ranking.still_error
 
 
+@pytest.mark.parametrize("number", [10, 11])
+def test_ranking_of_whole_rendered_frames(reference_data, number):
+    now, following = (
+        reference_data / "cube_over_crates" / f"frame_{n:04d}.exr" for n in (number, number + 1)
+    )
+    guess = vectors.guess_preset(exr.inspect(now).channel_names)
+    raw = exr.read_channels(now, guess.channels)
+    ranking = vectors.rank_conventions(
+        exr.read_image(now), exr.read_image(following), raw, guess.channels
+    )
+    best, _, third = ranking.candidates[:3]
+    assert best.channels == ("ViewLayer.Vector.Z", "ViewLayer.Vector.W")
+    assert best.presets == ("blender",)
+    assert best.error < 0.2 * third.error
+
+
 def test_ranking_refusals():
     now, following = pan((1, 1))
     zero = np.zeros((40, 60, 2))

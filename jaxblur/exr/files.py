@@ -272,11 +272,20 @@ def read_named(
             info.path, f"channels {', '.join(names)} have different data windows: {windows}."
         )
     _, _, width, height = windows.pop()
-    out = np.empty((height, width, len(names)), np.float32)
     order = sorted(range(len(names)), key=lambda i: (channels[i].part, channels[i].index))
-    for run in _runs(order, channels):
+    runs = list(_runs(order, channels))
+
+    def pixels_of(run: list[int]) -> np.ndarray:
         first, last = channels[run[0]], channels[run[-1]]
-        out[..., run] = read_span(source, info, first.part, first.index, last.index + 1, "float")
+        return read_span(source, info, first.part, first.index, last.index + 1, "float")
+
+    if runs == [list(range(len(names)))]:
+        return pixels_of(runs[0])
+    out = np.empty((height, width, len(names)), np.float32)
+    for run in runs:
+        pixels = pixels_of(run)
+        for position, target in enumerate(run):
+            out[..., target] = pixels[..., position]
     return out
 
 

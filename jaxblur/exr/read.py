@@ -322,12 +322,14 @@ def _decode(
 
 def _warn_lossy(info: FileInfo, channel: Channel) -> None:
     compression = info.parts[channel.part].compression.partition(":")[0]
+    # DWA takes channels called like color for color and stores the others exactly.
+    like_color = channel.name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "RY", "BY")
     lossy = {
         "pxr24": channel.type == "float",
         "b44": channel.type == "half",
         "b44a": channel.type == "half",
-        "dwaa": True,
-        "dwab": True,
+        "dwaa": like_color,
+        "dwab": like_color,
     }
     if lossy.get(compression, False):
         warnings.warn(
