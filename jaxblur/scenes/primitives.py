@@ -279,6 +279,80 @@ def _around_z(part: Mesh, count: int) -> list[Mesh]:
     ]
 
 
+def disc(radius: float = 1.0, thickness: float = 0.1, segments: int = 64) -> Mesh:
+    """Make a round plate that faces +z.
+
+    Args:
+        radius: scene units.
+        thickness: full length along z.
+        segments: sides.
+
+    Returns:
+        A closed mesh; texture coordinates ``(x, -y)`` in scene units on the faces.
+    """
+    stand_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    return cylinder(radius, thickness, segments).moved(rotation=stand_up)
+
+
+def wheel(radius: float = 1.0, spokes: int = 6, width: float = 0.3) -> Mesh:
+    """Make a wheel around the z axis: a tire (slot 0), a rim, spokes and a hub (slot 1).
+
+    Args:
+        radius: to the tread.
+        spokes: number of spokes.
+        width: of the tire along z.
+
+    Returns:
+        Closed parts in one mesh.
+    """
+    circle = 2 * np.pi * np.arange(48) / 48
+    around = radius * np.stack([np.cos(circle), np.sin(circle)], -1)
+    tire = torus(0.86 * radius, 0.14 * radius, 48, 14)
+    rim = extruded_ring(0.78 * around, 0.68 * around, 0.5 * width).painted(1)
+    hub = extruded_ring(0.2 * around, 0.08 * around, width).painted(1)
+    spoke = box((0.54 * radius, 0.1 * radius, 0.3 * width)).painted(1)
+    return join([tire, rim, hub, *_around_z(spoke.moved((0.44 * radius, 0, 0)), spokes)])
+
+
+def head(levels: int = 3) -> Mesh:
+    """Make a lion-like head: a cage of cells with mane, snout and ears, subdivided.
+
+    Args:
+        levels: Catmull-Clark steps.
+
+    Returns:
+        A closed, smooth mesh about 4 units high, around the origin, that faces +z.
+    """
+    skull = [(x, y, z) for x in range(3) for y in range(3) for z in range(2)]
+    mane = [(x, y, -1) for x in range(-1, 4) for y in range(-1, 4)]
+    snout = [(1, 0, 2), (1, 1, 2), (1, 0, 3)]
+    ears = [(0, 3, 0), (2, 3, 0)]
+    return blob([*skull, *mane, *snout, *ears], levels, cell=(0.8, 0.8, 0.8)).moved(
+        (-1.2, -1.2, -1)
+    )
+
+
+def car(levels: int = 2) -> Mesh:
+    """Make the body of a toy car that drives toward +x, without wheels.
+
+    Args:
+        levels: Catmull-Clark steps.
+
+    Returns:
+        Body (slot 0), windows (slot 1) and lights (slot 2), about 4 units long, centered over
+        the origin.
+    """
+    floor = [(x, 0, z) for x in range(6) for z in range(2)]
+    cabin = [(x, 1, z) for x in range(1, 4) for z in range(2)]
+    body = blob([*floor, *cabin], levels, cell=(0.72, 0.62, 0.85)).moved((-2.1, 0.3, -0.85))
+    window = box((0.62, 0.32, 1.5)).painted(1)
+    sides = [window.moved((x, 1.1, 0)) for x in (-0.92, -0.2)]
+    windshield = box((1.9, 0.3, 1.1)).painted(1).moved((-0.55, 1.1, 0))
+    lights = [box((0.1, 0.16, 0.3)).painted(2).moved((2.05, 0.62, z)) for z in (-0.4, 0.4)]
+    stripe = box((3.6, 0.1, 1.66)).painted(2).moved((0.0, 0.55, 0))
+    return join([body, *sides, windshield, *lights, stripe])
+
+
 def teapot(levels: int = 3) -> Mesh:
     """Make a teapot-like blob: a cage of cells with spout, handle and lid, subdivided.
 
@@ -299,13 +373,19 @@ def teapot(levels: int = 3) -> Mesh:
     return mesh.moved(-center)
 
 
-def blob(cells: Sequence[tuple[int, int, int]], levels: int = 3) -> Mesh:
-    """Make a smooth blob: the boundary of unit cells, subdivided by Catmull and Clark.
+def blob(
+    cells: Sequence[tuple[int, int, int]],
+    levels: int = 3,
+    *,
+    cell: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Mesh:
+    """Make a smooth blob: the boundary of a set of cells, subdivided by Catmull and Clark.
 
     Args:
-        cells: integer corners (x, y, z) of unit cells; they must meet in faces, not only in
+        cells: integer corners (x, y, z) of the cells; they must meet in faces, not only in
             edges or corners.
         levels: subdivision steps; each one makes four quads of one.
+        cell: (3,) size of a cell in scene units.
 
     Returns:
         A closed, smooth mesh; texture coordinates ``(x + z, y)``.
@@ -314,6 +394,7 @@ def blob(cells: Sequence[tuple[int, int, int]], levels: int = 3) -> Mesh:
         ValueError: an edge of the boundary has more than two faces.
     """
     points, quads = _cage(set(cells))
+    points = points * np.asarray(cell)
     for _ in range(levels):
         points, quads = _catmull_clark(points, quads)
     triangles = _split(quads)

@@ -1,0 +1,173 @@
+"""Motion as pieces of time: poses at the ends of each piece, and straight lines between them.
+
+The ways to blur that look at a stretch of time at once move every corner of a triangle along a
+straight line in camera space within a piece. `needed_pieces` measures the error of that.
+"""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .scene import NEAR, Pose, World, points_at, pose_at
+from .shutter import ShutterFunction, shutter_curve
+
+FINE_TIMES = 64
+MOST_PIECES = 64
+TABLE_POINTS = 1025
+
+
+class LightTable(NamedTuple):
+    """Time in the exposure against the share of the light that has passed by then.
+
+    Attributes:
+        position: (T,) increasing from -1/2 (opening) to 1/2 (closing).
+        light: (T,) increasing from 0 to 1.
+    """
+
+    position: jax.Array
+    light: jax.Array
+
+
+def light_table(shutter_function: ShutterFunction) -> LightTable:
+    """Integrate a shutter function.
+
+    Args:
+        shutter_function: a name or a curve; see `shutter.shutter_curve`.
+
+    Returns:
+        The table: 2 points for the box, for which it is exact, else 1025.
+
+    Raises:
+        ValueError: the name is unknown, or the values are not a curve.
+    """
+    curve = shutter_curve(shutter_function)
+    count = 2 if np.all(curve == curve[0]) else TABLE_POINTS
+    position = np.linspace(0, 1, count)
+    height = np.interp(position, np.linspace(0, 1, len(curve)), curve)
+    light = np.concatenate([[0.0], np.cumsum(height[1:] + height[:-1])])
+    return LightTable(jnp.float32(position - 0.5), jnp.float32(light / light[-1]))
+
+
+def position_at(table: LightTable, light: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Find when a share of the light has passed, in shutter units from -1/2 to 1/2."""
+    return jnp.interp(light, table.light, table.position)
+
+
+def light_at(table: LightTable, position: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Find the share of the light that has passed at a position in the exposure."""
+    return jnp.interp(position, table.position, table.light)
+
+
+@jax.jit
+def _chord_errors(
+    world: World, times: Float[Array, " fine"], width: Float[Array, ""], height: Float[Array, ""]
+) -> Array:
+    points = jax.vmap(points_at, (None, 0))(world, times)
+
+    def project(camera_points: Array) -> Array:
+        depth = jnp.maximum(camera_points[..., 2:], NEAR)
+        return world.camera.focal * width * camera_points[..., :2] / depth
+
+    def error(pieces: int) -> Array:
+        keys = points[:: FINE_TIMES // pieces]
+        share = (jnp.arange(FINE_TIMES // pieces) * (pieces / FINE_TIMES))[:, None, None]
+        chord = (keys[:-1, None] + share * (keys[1:] - keys[:-1])[:, None]).reshape(-1, *keys[0].shape)
+        true = project(points[:-1])
+        seen = (jnp.abs(true[..., 0]) < width) & (jnp.abs(true[..., 1]) < height)
+        seen &= points[:-1, :, 2] > NEAR
+        return jnp.max(jnp.where(seen, jnp.linalg.norm(project(chord) - true, axis=-1), 0.0))
+
+    return jnp.stack([error(2**k) for k in range(FINE_TIMES.bit_length() - 1)])
+
+
+def needed_pieces(
+    world: World, opening: float, closing: float, size: tuple[int, int], tolerance: float
+) -> tuple[int, float]:
+    """Find how many pieces of time keep straight paths close to the true ones.
+
+    Args:
+        world: the arrays of a scene.
+        opening: frames.
+        closing: frames.
+        size: (height, width) of the image.
+        tolerance: largest distance in pixels between a point that is seen and its place on the
+            straight path, at any time.
+
+    Returns:
+        Number of pieces, a power of two and at most 64, and the largest distance measured with
+        them in pixels (for 64 extrapolated from 32: it falls with the square of the number).
+    """
+    times = jnp.linspace(opening, closing, FINE_TIMES + 1)
+    errors = np.asarray(_chord_errors(world, times, jnp.float32(size[1]), jnp.float32(size[0])))
+    errors = np.append(errors, errors[-1] / 4)
+    fitting = np.flatnonzero(errors <= tolerance)
+    best = int(fitting[0]) if len(fitting) else len(errors) - 1
+    return 2**best, float(errors[best])
+
+
+def key_poses(world: World, times: Float[Array, " keys"]) -> Pose:
+    """Evaluate a world at several times: a pose with a leading axis."""
+    return jax.vmap(functools.partial(pose_at, world))(times)
+
+
+def _between(values: Array, piece: Array, share: Array, *index: Array) -> Array:
+    """Values of one piece's ends, read at an index and mixed by the share of the piece."""
+    start, end = values[(piece, *index)], values[(piece + 1, *index)]
+    return start + share.reshape(share.shape + (1,) * (start.ndim - 1)) * (end - start)
+
+
+def camera_rotations(
+    poses: Pose, piece: Int[Array, " points"], share: Float[Array, " points"]
+) -> Float[Array, "points 3 3"]:
+    """Turn from camera to world axes at a time of its own for every point.
+
+    Mixed between the ends of a piece, so that the sky moves as the points do.
+    """
+    return _between(poses.camera_rotation, piece, share)
+
+
+def own_copies(
+    world: World,
+    poses: Pose,
+    piece: Int[Array, " points"],
+    triangle: Int[Array, " points"],
+    share: Float[Array, " points"],
+) -> tuple[World, Pose]:
+    """Give every point a triangle of its own, posed at the point's own time.
+
+    Triangle n of the result is the one that point n sees, so that whatever takes a world at one
+    time serves for points that are each seen at another.
+
+    Args:
+        world: the arrays of a scene.
+        poses: at the ends of the pieces, leading axis K + 1.
+        piece: (N,) in [0, K).
+        triangle: (N,) not negative.
+        share: (N,) time as a share of the piece, in [0, 1].
+
+    Returns:
+        World and pose with N triangles and 3 N points. The pose's camera does not turn: rays
+        must come in world axes where their direction counts.
+    """
+    count = triangle.shape[0]
+    corners = [_between(poses.points, piece, share, world.triangles[triangle, i]) for i in range(3)]
+    pose = Pose(
+        jnp.concatenate(corners),
+        _between(poses.normals, piece, share, triangle),
+        jnp.eye(3),
+        jnp.zeros(3),
+    )
+    numbers = jnp.arange(3 * count, dtype=jnp.int32).reshape(3, count).T
+    copies = dataclasses.replace(
+        world,
+        triangles=numbers,
+        triangle_material=world.triangle_material[triangle],
+        closed=world.closed[triangle],
+        texture=world.texture[triangle],
+    )
+    return copies, pose

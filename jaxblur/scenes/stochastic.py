@@ -1,0 +1,264 @@
+"""Stochastic rasterization: every pixel sees the scene at random times of its own."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .exposure import subpixel_offsets
+from .keyframes import (
+    LightTable,
+    camera_rotations,
+    key_poses,
+    light_table,
+    needed_pieces,
+    own_copies,
+    position_at,
+)
+from .raster import enough
+from .rendering import check_exposure
+from .scene import NEAR, Pose, Scene, World
+from .shading import shade, surface_at
+from .shutter import ShutterFunction, exposure_center
+from .swept import (
+    Swept,
+    SweptRows,
+    candidates,
+    corner_weights,
+    depth_at,
+    edge_polynomials,
+    edge_values,
+    row_counts,
+    sweep,
+    swept_rows,
+)
+
+PATH_TOLERANCE = 0.1
+CANDIDATES = 65536
+REACH = 0.5
+
+
+class Strata(NamedTuple):
+    """How the exposure is divided among the samples.
+
+    Attributes:
+        light: (S, Q + 1) share of the light at the ends of each stratum's pieces of time.
+        offsets: (S, 2) x and y in the pixel before they are shifted per pixel, in pixels.
+        center: () frames.
+        shutter: () frames.
+        table: light against time.
+        seed: () int.
+    """
+
+    light: jax.Array
+    offsets: jax.Array
+    center: jax.Array
+    shutter: jax.Array
+    table: LightTable
+    seed: jax.Array
+
+
+class Seen(NamedTuple):
+    """The nearest surface of every pixel so far, P of them.
+
+    Attributes:
+        nearest: (P + 1,) inverse depth, 0 where nothing is; the last one is no pixel.
+        owner: (P + 1,) swept triangle, -1 where nothing is.
+    """
+
+    nearest: jax.Array
+    owner: jax.Array
+
+
+def stochastic(
+    scene: Scene,
+    time: float = 0.0,
+    shutter: float = 0.5,
+    samples: int = 8,
+    size: tuple[int, int] = (180, 320),
+    shutter_function: ShutterFunction = "box",
+    *,
+    seed: int = 0,
+    placement: str = "centered",
+) -> Float[Array, "height width 3"]:
+    """Render a motion-blurred image from a few random samples per pixel.
+
+    The light that the shutter lets through is divided into `samples` equal strata. In each of
+    them every pixel has a time of its own, uniformly random within the stratum, and a place of
+    its own within the pixel: a point of the R2 sequence, shifted by a random vector per pixel.
+    Coverage is analytic: the edge functions of the moving triangles are evaluated at the pixel's
+    own time, and the surface that is nearest then is shaded at that time. Errors show as noise
+    and not as ghosts, and the mean over seeds is the true image.
+
+    Corners move along straight lines in camera space within a stratum. Where that would miss the
+    true path by more than a tenth of a pixel, strata are divided into pieces (64 of them at most
+    over the exposure); for linear motion it is exact. Samples are added up one after the other;
+    memory does not depend on their number.
+
+    Args:
+        scene: what to render.
+        time: frames.
+        shutter: frames that the shutter is open; 0 gives the sharp image.
+        samples: number of samples per pixel.
+        size: (height, width) in pixels.
+        shutter_function: "box", "trapezoid", "triangle", "gaussian" or a sampled curve; see
+            `shutter.shutter_curve`.
+        seed: of the random numbers; the same seed gives the same image.
+        placement: "centered", "leading" or "trailing"; see `accumulation.accumulate`.
+
+    Returns:
+        (H, W, 3) linear light, float32.
+
+    Raises:
+        ValueError: an argument is out of range.
+
+    Source: Cook, Porter and Carpenter 1984; McGuire, Enderton, Shirley and Luebke 2010, after
+    Hong and Oh 2017, section 3.1: here with the convex hull of the moving triangle per image row
+    as the bound, and one time per pixel and stratum.
+    """
+    check_exposure(shutter, size)
+    if samples < 1:
+        raise ValueError(f"`samples` must be at least 1, got {samples}.")
+    center = exposure_center(time, shutter, placement)
+    ends = center - shutter / 2, center + shutter / 2
+    pieces, _ = needed_pieces(scene.world, *ends, size, PATH_TOLERANCE)
+    per_stratum = -(-pieces // samples)
+    light = np.arange(samples)[:, None] + np.linspace(0, 1, per_stratum + 1)
+    strata = Strata(
+        jnp.asarray(light / samples, jnp.float32),
+        jnp.asarray(subpixel_offsets(samples), jnp.float32),
+        jnp.float32(center),
+        jnp.float32(shutter),
+        light_table(shutter_function),
+        jnp.int32(seed),
+    )
+    capacity = enough(int(_most_rows(scene.world, strata, size)), 0).rows
+    while True:
+        image, needed = _mean(scene.world, strata, size, capacity)
+        if int(needed) <= capacity:
+            return image
+        capacity = enough(int(needed), 0).rows
+
+
+def _stratum(
+    world: World, strata: Strata, index: Array, size: tuple[int, int]
+) -> tuple[Array, Pose, Swept]:
+    """Positions of a stratum's keys in the exposure, poses there, and moving triangles."""
+    keys = position_at(strata.table, strata.light[index])
+    poses = key_poses(world, strata.center + strata.shutter * keys)
+    focal = world.camera.focal * size[1]
+    return keys, poses, sweep(poses.points, world.triangles, world.closed, focal, size)
+
+
+@functools.partial(jax.jit, static_argnames=("size",))
+def _most_rows(world: World, strata: Strata, size: tuple[int, int]) -> Array:
+    def count(index: Array) -> Array:
+        swept = _stratum(world, strata, index, size)[2]
+        return jnp.sum(row_counts(swept, jnp.zeros(2), REACH, size)[1])
+
+    return jnp.max(jax.lax.map(count, jnp.arange(strata.light.shape[0])))
+
+
+@functools.partial(jax.jit, static_argnames=("size", "capacity"))
+def _mean(
+    world: World, strata: Strata, size: tuple[int, int], capacity: int
+) -> tuple[Array, Array]:
+    """Give the mean over the strata, and the most rows that one needed."""
+    samples = strata.light.shape[0]
+    key = jax.random.key(strata.seed)
+    shift = jax.random.uniform(key, (2, size[0] * size[1]))
+
+    def add(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        total, needed = state
+        color, rows = _sample(world, strata, index, shift, key, size, capacity)
+        return total + color, jnp.maximum(needed, rows)
+
+    start = jnp.zeros((3, size[0] * size[1])), jnp.int32(0)
+    total, needed = jax.lax.fori_loop(0, samples, add, start)
+    return (total / samples).T.reshape(*size, 3), needed
+
+
+def _sample(
+    world: World,
+    strata: Strata,
+    index: Array,
+    shift: Array,
+    key: Array,
+    size: tuple[int, int],
+    capacity: int,
+) -> tuple[Array, Array]:
+    """Color (3, P) of one sample per pixel, and the number of rows needed."""
+    keys, poses, swept = _stratum(world, strata, index, size)
+    light = jax.random.uniform(jax.random.fold_in(key, index), shift.shape[1:])
+    first, last = strata.light[index, 0], strata.light[index, -1]
+    position = position_at(strata.table, first + light * (last - first))
+    piece = jnp.searchsorted(keys[1:-1], position, side="right").astype(jnp.int32)
+    share = (position - keys[piece]) / (keys[piece + 1] - keys[piece])
+    focal = world.camera.focal * size[1]
+    ray = _rays(focal, (strata.offsets[index][:, None] + shift) % 1.0 - 0.5, size)
+    rows = swept_rows(swept, jnp.zeros(2), REACH, size, capacity)
+    owner = _nearest(swept, rows, ray, piece, share, keys.shape[0] - 1, size)
+    triangle = jnp.maximum(owner, 0) % world.triangles.shape[0]
+    copies, pose = own_copies(world, poses, piece, triangle, share)
+    own = jnp.where(owner < 0, -1, jnp.arange(owner.shape[0]))
+    spacing = jax.lax.rsqrt(jnp.float32(strata.light.shape[0])) / focal
+    surface = surface_at(copies, pose, own, ray, spacing)
+    rotation = camera_rotations(poses, piece, share)
+    direction = jnp.einsum("pij,jp->ip", rotation, ray)
+    return shade(copies, pose, surface, direction, spacing), rows.needed
+
+
+def _rays(focal: Array, offset: Array, size: tuple[int, int]) -> Array:
+    """Rays (3, P) through a place of its own in every pixel."""
+    height, width = size
+    row, column = jnp.divmod(jnp.arange(height * width), width)
+    x = (column + 0.5 + offset[0] - width / 2) / focal
+    y = (row + 0.5 + offset[1] - height / 2) / focal
+    return jnp.stack([x, y, jnp.ones_like(x)])
+
+
+def _nearest(
+    swept: Swept,
+    rows: SweptRows,
+    ray: Array,
+    piece: Array,
+    share: Array,
+    pieces: int,
+    size: tuple[int, int],
+) -> Array:
+    """Find the swept triangle (P,) that each pixel sees at its own time, -1 for none."""
+    pixels = ray.shape[1]
+    triangles = swept.drawn.shape[0] // pieces
+
+    def unfinished(state: tuple[Array, Seen]) -> Array:
+        return state[0] < rows.ends[-1]
+
+    def add(state: tuple[Array, Seen]) -> tuple[Array, Seen]:
+        first, seen = state
+        owner, row, column, real = candidates(rows, first, CANDIDATES)
+        pixel = row * size[1] + column
+        real &= piece[pixel] == owner // triangles
+        covered, depth = _hit(swept, owner, ray[:, pixel], share[pixel])
+        pixel = jnp.where(real & covered, pixel, pixels)
+        # Materialized once: were it computed twice, rounding could lose a pixel its winner.
+        inverse = jax.lax.optimization_barrier(1.0 / jnp.where(covered, depth, 1.0))
+        nearest = seen.nearest.at[pixel].max(inverse)
+        wins = jnp.where(inverse == nearest[pixel], pixel, pixels)
+        kept = jnp.where(nearest > seen.nearest, -1, seen.owner)
+        return first + CANDIDATES, Seen(nearest, kept.at[wins].max(owner))
+
+    start = Seen(jnp.zeros(pixels + 1), jnp.full(pixels + 1, -1, jnp.int32))
+    return jax.lax.while_loop(unfinished, add, (jnp.int32(0), start))[1].owner[:-1]
+
+
+def _hit(swept: Swept, owner: Array, ray: Array, share: Array) -> tuple[Array, Array]:
+    """Whether rays hit moving triangles at a time in the piece, and the depth where they do."""
+    values = edge_values(edge_polynomials(swept, owner, ray), share)
+    forward = swept.forward[:, owner]
+    agrees = (values < 0) == forward
+    front, back = jnp.all(agrees, axis=0), jnp.all(~agrees, axis=0)
+    depth = depth_at(swept, owner, corner_weights(values, forward), share)
+    return (front | (back & ~swept.closed[owner])) & (depth > NEAR), depth
