@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxblur import srgb, vectors
 
-from .choose import choose_color, choose_depth, choose_vectors
+from .choose import ColorGroup, choose_color, choose_depth, choose_vectors
 from .files import (
     Channel,
     FileInfo,
@@ -122,7 +122,8 @@ def read_buffers(
     """Read color, depth and vectors, convert and check them; jax is not loaded.
 
     Args:
-        path: image with the color and, unless given apart, vectors and depth.
+        path: image with the color and, unless given apart, vectors and depth; integer images are
+            decoded with the sRGB curve.
         preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
         shutter: exposure to blur for, frames.
         depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers),
@@ -151,7 +152,7 @@ def read_buffers(
     _check_arguments(preset, shutter, depth, non_finite)
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    color = _finite(read_channels(path, group.channels), path, group.channels, non_finite)
+    color = _read_color(info, group, non_finite)
 
     vector_info = inspect(velocity_from) if velocity_from else info
     guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
@@ -199,12 +200,7 @@ def read_image(
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    image = _finite(read_channels(path, group.channels), path, group.channels, "error")
-    if info.channel(group.channels[0]).type not in ("uint8", "uint16"):
-        return image
-    encoded = [i for i, name in enumerate(group.channels) if name != group.alpha]
-    image[..., encoded] = srgb.decode(image[..., encoded])
-    return image
+    return _read_color(info, group, "error")
 
 
 def to_distance(
@@ -258,6 +254,15 @@ def _check_arguments(preset: str, shutter: float, depth: str, non_finite: str) -
         raise ValueError(f"`depth` must be auto or one of {', '.join(DEPTH_KINDS)}; got {depth!r}.")
     if non_finite not in ("error", "zero", "keep"):
         raise ValueError(f"`non_finite` must be error, zero or keep; got {non_finite!r}.")
+
+
+def _read_color(info: FileInfo, group: ColorGroup, non_finite: str) -> np.ndarray:
+    """Read the color as linear light; integer files hold sRGB."""
+    color = _finite(read_channels(info.path, group.channels), info.path, group.channels, non_finite)
+    for index, name in enumerate(group.channels):
+        if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
+            color[..., index] = srgb.decode(color[..., index])
+    return color
 
 
 def _depth_kind(depth: str, guess: vectors.Guess, path: PathLike) -> str:
