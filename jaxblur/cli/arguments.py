@@ -1,0 +1,230 @@
+"""Arguments that several commands share, and how mistakes in them are told."""
+
+import argparse
+import difflib
+import os
+import pathlib
+import re
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NoReturn
+
+PNG_TRANSFORM = "8-bit sRGB, clipped to 0..1"
+HELP_WIDTH = 98
+
+
+class CommandError(Exception):
+    """A mistake on the command line; the message is one line with the remedy."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that raises its errors, and may show a text that is made when asked for.
+
+    Attributes:
+        more_help: function that gives text to show below the options.
+    """
+
+    more_help: Any = None
+
+    def error(self, message: str) -> NoReturn:
+        """Raise the error instead of printing the usage and exiting."""
+        raise CommandError(f"{message}; see `{self.prog} --help`")
+
+    def format_help(self) -> str:
+        """Append ``more_help``, which may be slow to make."""
+        text = super().format_help()
+        return f"{text}\n{self.more_help()}\n" if self.more_help else text
+
+
+def add_command(commands: Any, name: str, summary: str, run: Any) -> Parser:
+    """Add a command with the options that all commands have.
+
+    Args:
+        commands: what ``add_subparsers`` returned.
+        name: of the command.
+        summary: one line for the help.
+        run: function of the parsed arguments that gives the exit status.
+
+    Returns:
+        The command's parser.
+    """
+    parser = commands.add_parser(name, help=summary, description=summary)
+    parser.set_defaults(run=run)
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="say more on stderr")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="errors only on stderr")
+    return parser
+
+
+def add_compute_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of commands that compile something."""
+    parser.add_argument(
+        "--no-compile-cache",
+        action="store_true",
+        help="do not keep compiled code between runs (it is kept in the user's cache folder)",
+    )
+
+
+def add_vector_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what the vectors in a file mean."""
+    group = parser.add_argument_group("motion vectors")
+    group.add_argument(
+        "--shutter",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="exposure to blur for, in frames (default %(default)s: a 180 degree shutter)",
+    )
+    group.add_argument(
+        "--preset",
+        type=preset_name,
+        default="auto",
+        metavar="NAME",
+        help="convention of the vectors (default auto: by channel names)",
+    )
+    group.add_argument(
+        "--velocity-channels",
+        type=channel_names,
+        metavar="X,Y[,X,Y]",
+        help="names of the vector channels, where the preset does not know them",
+    )
+    group.add_argument(
+        "--file-shutter",
+        type=float,
+        metavar="S",
+        help="exposure of the render that wrote the vectors, for presets that span the shutter",
+    )
+    group.add_argument(
+        "--max-displace",
+        type=float,
+        metavar="PX",
+        help="pixels that a full-range vector stands for, for presets that scale so",
+    )
+    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
+
+
+def in_option_names(message: str, options: Mapping[str, Any]) -> str:
+    """Say ``--shutter`` where the library says ```shutter```, and likewise for values.
+
+    Args:
+        message: an error message of the library.
+        options: what the command can be given, by argument name.
+
+    Returns:
+        The message in the words of the command line.
+    """
+
+    def flag(name: str) -> str:
+        return f"--{name.replace('_', '-')}"
+
+    def rename(match: re.Match[str]) -> str:
+        name, value = match["quoted"] or match["name"], match["value"]
+        name = name.removeprefix("settings.")
+        if name == "extra":
+            return "--drop-extra"
+        if name not in options:
+            return match[0]
+        return f"{flag(name)}={value}" if value else flag(name)
+
+    return re.sub(r"`(?P<quoted>[\w.]+)`|\b(?P<name>\w+)='(?P<value>[^']*)'", rename, message)
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Suggest the known name nearest to a mistyped one, or nothing."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def preset_name(text: str) -> str:
+    """Parse the name of a vector convention.
+
+    Raises:
+        ArgumentTypeError: there is none of that name.
+    """
+    from jaxblur.vectors import PRESETS
+
+    return one_of(text, ("auto", *PRESETS), "preset")
+
+
+def one_of(text: str, known: Sequence[str], what: str) -> str:
+    """Parse one of some names.
+
+    Raises:
+        ArgumentTypeError: it is another one; the message suggests and lists.
+    """
+    if text in known:
+        return text
+    raise argparse.ArgumentTypeError(
+        f"no {what} {text!r}{did_you_mean(text, known)}; there are {', '.join(known)}"
+    )
+
+
+def channel_names(text: str) -> list[str]:
+    """Parse channel names separated by commas.
+
+    Raises:
+        ArgumentTypeError: one of them is empty.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"expected names separated by commas, got {text!r}")
+    return names
+
+
+def positive_integer(text: str) -> int:
+    """Parse a whole number from 1.
+
+    Raises:
+        ArgumentTypeError: it is not one.
+    """
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text!r}")
+    return int(text)
+
+
+def check_outputs(outputs: Iterable[pathlib.Path], overwrite: bool) -> None:
+    """Refuse outputs that cannot be written before any work is done.
+
+    Args:
+        outputs: files to write.
+        overwrite: existing files may be replaced.
+
+    Raises:
+        CommandError: a folder is missing or read-only, or a file exists.
+    """
+    for output in outputs:
+        folder = output.parent
+        if not folder.is_dir():
+            raise CommandError(f"{output}: no folder {folder}; create it first.")
+        if not os.access(folder, os.W_OK):
+            raise CommandError(f"{output}: the folder {folder} is not writable.")
+        if output.is_dir():
+            raise CommandError(f"{output}: is a folder; give a file name.")
+        if output.exists() and not overwrite:
+            raise CommandError(f"{output}: exists; pass --overwrite to replace it.")
+
+
+def make_folder(folder: pathlib.Path) -> None:
+    """Create a folder for outputs if it is missing, with its parents.
+
+    Raises:
+        CommandError: it is a file, or the system refuses.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"{folder}: cannot make this folder: {error.strerror}.") from error
+
+
+def describe_presets() -> str:
+    """List the vector conventions for the help; unverified ones say so."""
+    from jaxblur.vectors import PRESETS
+
+    lines = ["presets of motion vectors (`auto` recognizes those marked *):"]
+    for preset in PRESETS.values():
+        mark = "*" if preset.named else " "
+        doubt = "" if preset.verified else "UNVERIFIED. "
+        entry = f"  {mark} {preset.name:<10} {doubt}{preset.source}"
+        lines.append(textwrap.fill(entry, HELP_WIDTH, subsequent_indent=" " * 15))
+    lines.append("Check an unverified one on two frames: jaxblur vectors FRAME --next NEXT.")
+    return "\n".join(lines)

@@ -1,0 +1,347 @@
+"""``jaxblur blur``: one sharp frame in, one blurred frame out."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import jaxblur
+from jaxblur.settings import CHOICES, Settings
+
+from . import published
+from .arguments import (
+    PNG_TRANSFORM,
+    CommandError,
+    add_command,
+    add_compute_options,
+    add_vector_options,
+    channel_names,
+    check_outputs,
+    describe_presets,
+    one_of,
+    positive_integer,
+)
+from .compute import start_jax
+from .console import print_line, print_table
+
+LOG = logging.getLogger("jaxblur")
+
+SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(commands, "blur", "Blur a frame along its motion vectors.", run)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.more_help = lambda: f"{published.describe_filters()}\n\n{describe_presets()}"
+    parser.add_argument("input", type=pathlib.Path, help="frame with color, depth and vectors")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=pathlib.Path,
+        required=True,
+        metavar="OUT",
+        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing output")
+    parser.add_argument("--png", action="store_true", help="write OUT.png beside OUT.exr too")
+    parser.add_argument(
+        "--drop-extra", action="store_true", help="write the color alone, not the other channels"
+    )
+    parser.add_argument(
+        "--truth", type=pathlib.Path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
+    )
+    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+    add_compute_options(parser)
+    _add_filter_options(parser)
+    add_vector_options(parser)
+    _add_source_options(parser)
+
+
+def _add_filter_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("filter")
+    group.add_argument(
+        "--filter",
+        type=_filter_name,
+        default=published.DEFAULT_FILTER,
+        metavar="NAME",
+        help="default %(default)s; see below",
+    )
+    group.add_argument(
+        "--samples", type=positive_integer, metavar="N", help="taps per pixel (as published)"
+    )
+    group.add_argument(
+        "--radius",
+        type=_radius,
+        metavar="auto|PX",
+        help="longest half-spread; auto takes it from the frame (as published)",
+    )
+    group.add_argument(
+        "--param",
+        type=_parameter,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a parameter of the filter; repeat for several",
+    )
+    for name, options in CHOICES.items():
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            choices=options,
+            default=getattr(Settings(), name),
+            help="default %(default)s",
+        )
+
+
+def _add_source_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("where color, vectors and depth are")
+    group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
+    group.add_argument("--velocity-from", type=pathlib.Path, metavar="FILE")
+    group.add_argument("--depth-from", type=pathlib.Path, metavar="FILE")
+    group.add_argument("--depth-channel", metavar="NAME")
+    group.add_argument(
+        "--depth",
+        default="auto",
+        metavar="KIND",
+        help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
+    )
+    group.add_argument(
+        "--non-finite",
+        choices=("error", "zero"),
+        default="error",
+        help="what to do about NaN and infinity in color or vectors (default %(default)s)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Blur one frame; see `add_parser`."""
+    from jaxblur import exr
+
+    settings = _settings(arguments)
+    parameters = published.checked_parameters(arguments.filter, dict(arguments.param))
+    outputs = _outputs(arguments)
+    sources = [
+        path
+        for path in (
+            arguments.input,
+            arguments.velocity_from,
+            arguments.depth_from,
+            arguments.truth,
+        )
+        if path is not None
+    ]
+    for output in outputs:
+        exr.refuse_overwrite(output, *sources)
+    check_outputs(outputs, arguments.overwrite)
+    started = time.perf_counter()
+    buffers = read_buffers(arguments)
+    truth = _read_truth(arguments, buffers.color.shape)
+    settings = _with_radius(settings, arguments, buffers)
+    read = time.perf_counter()
+
+    start_jax(not arguments.no_compile_cache)
+    blurred = apply_filter(arguments.filter, buffers, parameters, settings)
+    done = time.perf_counter()
+    images = {"input": buffers.color, arguments.filter: blurred}
+    scores = [] if truth is None else score_rows(images, truth)
+    notes = _provenance(arguments, buffers, parameters, settings)
+    for output in outputs:
+        _write(output, blurred, arguments, notes)
+    LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
+    for output in outputs:
+        print_line(f"{output}")
+    if scores:
+        print_table(SCORE_COLUMNS, scores)
+    return 0
+
+
+def read_buffers(arguments: argparse.Namespace) -> Any:
+    """Read the frame that the arguments of this command name, and say how it was read."""
+    from jaxblur import exr
+
+    buffers = exr.read_buffers(
+        arguments.input,
+        arguments.preset,
+        arguments.shutter,
+        depth=arguments.depth,
+        velocity_from=arguments.velocity_from,
+        depth_from=arguments.depth_from,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        color_channels=arguments.color_channels,
+        velocity_channels=arguments.velocity_channels,
+        depth_channel=arguments.depth_channel,
+        non_finite=arguments.non_finite,
+    )
+    LOG.info("color: %s", ", ".join(buffers.color_channels))
+    LOG.info("vectors: %s", buffers.guess.reason)
+    LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
+    return buffers
+
+
+def apply_filter(
+    name: str, buffers: Any, parameters: Mapping[str, float], settings: Settings
+) -> Any:
+    """Run a filter.
+
+    Args:
+        name: a key of `jaxblur.FILTERS`.
+        buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
+        parameters: by name; the others are as published.
+        settings: how to run it.
+
+    Returns:
+        (H, W, C) NumPy array.
+    """
+    import numpy as np
+
+    from jaxblur.filters import FILTERS, PUBLISHED
+    from jaxblur.frame import Frame
+
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
+    record = PUBLISHED[name][0]
+    chosen = None if record is None else dataclasses.replace(record, **parameters)
+    return np.asarray(FILTERS[name](frame, chosen, settings=settings))
+
+
+def _filter_name(text: str) -> str:
+    return one_of(text, tuple(published.FILTERS), "filter")
+
+
+def _radius(text: str) -> int | None:
+    """Parse ``--radius``; 0 stands for auto."""
+    return 0 if text == "auto" else positive_integer(text)
+
+
+def _parameter(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
+    try:
+        return name.strip(), float(value)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{name} must be a number, got {value!r}") from error
+
+
+def _settings(arguments: argparse.Namespace) -> Settings:
+    known = published.FILTERS[arguments.filter]
+    choices = {name: getattr(arguments, name) for name in CHOICES}
+    return Settings(
+        samples=arguments.samples or known.samples,
+        radius=arguments.radius or known.radius,
+        **choices,
+    )
+
+
+def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
+    output = arguments.output
+    suffix = output.suffix.lower()
+    if suffix not in (".exr", ".png"):
+        raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
+    beside = [output.with_suffix(".png")] if arguments.png and suffix == ".exr" else []
+    return [output, *beside]
+
+
+def _with_radius(settings: Settings, arguments: argparse.Namespace, buffers: Any) -> Settings:
+    """Take the radius from the frame if asked to; say how many vectors it cuts otherwise."""
+    from jaxblur import vectors
+
+    statistics = vectors.speed_statistics(buffers.velocity, settings.radius)
+    if arguments.radius == 0:
+        fastest = statistics.percentiles[100.0]
+        LOG.info(
+            "radius: %d px, for half-spreads up to %.1f px", statistics.suggested_radius, fastest
+        )
+        return dataclasses.replace(settings, radius=statistics.suggested_radius)
+    if statistics.beyond_share > 0:
+        LOG.warning(
+            "%.2g %% of the vectors are longer than the radius of %d px and are cut to it; "
+            "--radius auto would take %d",
+            100 * statistics.beyond_share,
+            settings.radius,
+            statistics.suggested_radius,
+        )
+    return settings
+
+
+def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    from jaxblur import exr
+
+    if arguments.truth is None:
+        return None
+    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    if truth.shape[:2] != shape[:2]:
+        (rows, columns), (height, width) = truth.shape[:2], shape[:2]
+        raise CommandError(
+            f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
+            f"{width}x{height}; render both with the same data window."
+        )
+    return truth
+
+
+def score_rows(images: Mapping[str, Any], truth: Any) -> list[tuple[str, ...]]:
+    """Score images against a truth.
+
+    Args:
+        images: (H, W, C) linear light by name.
+        truth: (H, W, C) linear light.
+
+    Returns:
+        Rows for `SCORE_COLUMNS`.
+    """
+    from jaxblur import metrics
+
+    rows = []
+    for name, image in images.items():
+        score = metrics.compare(image, truth)
+        rows.append((name, f"{score.psnr:.2f}", f"{score.ssim:.4f}", f"{score.flip:.4f}"))
+    return rows
+
+
+def _provenance(
+    arguments: argparse.Namespace, buffers: Any, parameters: dict[str, float], settings: Settings
+) -> dict[str, str]:
+    """Give what must be known to make the output again; names of files, without folders."""
+    used = dataclasses.asdict(settings) | {
+        "shutter": arguments.shutter,
+        "preset": buffers.guess.preset.name,
+        "depth": buffers.depth_kind,
+    }
+    inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    return {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:filter": arguments.filter,
+        "jaxblur:parameters": _toml(parameters),
+        "jaxblur:settings": _toml(used),
+        "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
+    }
+
+
+def _toml(values: dict[str, Any]) -> str:
+    return "\n".join(
+        f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}"
+        for name, value in values.items()
+    )
+
+
+def _write(
+    output: pathlib.Path, image: Any, arguments: argparse.Namespace, provenance: dict[str, str]
+) -> None:
+    from jaxblur import exr
+
+    from_exr = arguments.input.suffix.lower() == ".exr"
+    exr.write_image(
+        output,
+        image,
+        like=arguments.input if from_exr else None,
+        extra="drop" if arguments.drop_extra else "keep",
+        attributes=provenance,
+        layer=arguments.layer,
+        color_channels=arguments.color_channels,
+    )
+    if output.suffix.lower() == ".png":
+        LOG.info("%s: %s", output, PNG_TRANSFORM)

@@ -1,0 +1,43 @@
+"""Load jax, once everything that does not need it has been checked."""
+
+import logging
+import os
+import pathlib
+
+LOG = logging.getLogger("jaxblur")
+
+
+def start_jax(compile_cache: bool) -> None:
+    """Import jax and let it keep compiled code between runs.
+
+    A cache folder that cannot be used is a warning: the run is slower, not wrong.
+
+    Args:
+        compile_cache: keep compiled code in `cache_folder`.
+    """
+    # The C++ part of jax logs remarks about cached code that a user can do nothing about.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    import jax
+
+    if not compile_cache:
+        return
+    try:
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(f"{folder} is not writable")
+    except (OSError, RuntimeError) as error:
+        LOG.warning("no compile cache: %s; pass --no-compile-cache to silence this", error)
+        return
+    jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+
+
+def cache_folder() -> pathlib.Path:
+    """Name the folder for compiled code: ``$XDG_CACHE_HOME/jaxblur`` or ``~/.cache/jaxblur``.
+
+    Raises:
+        RuntimeError: there is no home folder.
+    """
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (pathlib.Path(base) if base else pathlib.Path.home() / ".cache") / "jaxblur"

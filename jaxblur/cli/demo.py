@@ -1,0 +1,77 @@
+"""``jaxblur demo``: make a frame, blur it, compare it with its truth."""
+
+import argparse
+import pathlib
+from typing import Any
+
+import jaxblur
+from jaxblur.settings import Settings
+
+from . import published
+from .arguments import add_command, add_compute_options, check_outputs, make_folder
+from .blur import SCORE_COLUMNS, apply_filter, score_rows
+from .compute import start_jax
+from .console import print_line, print_table
+from .scene import image_size, make_scene
+
+SHUTTER = 0.5
+TRUTH_SAMPLES = 64
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "demo", "Make a frame and its true motion blur, and blur the frame.", run
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=pathlib.Path,
+        default=pathlib.Path("jaxblur_demo"),
+        metavar="DIR",
+        help="folder to write to (default %(default)s)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
+    parser.add_argument(
+        "--scene", default="gears", metavar="NAME", help="see `jaxblur scene --list`"
+    )
+    parser.add_argument(
+        "--size", type=image_size, default=(360, 640), metavar="WxH", help="default 640x360"
+    )
+    add_compute_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write frame, result and truth; see `add_parser`."""
+    from jaxblur import exr
+
+    folder, name = arguments.output, published.DEFAULT_FILTER
+    make_folder(folder)
+    images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
+    pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
+    check_outputs([*images.values(), *pngs.values()], arguments.overwrite)
+    start_jax(not arguments.no_compile_cache)
+    import numpy as np
+
+    from jaxblur import scenes
+
+    scene = make_scene(arguments.scene)
+    frame = scenes.render(scene, 0.0, SHUTTER, arguments.size, path=True)
+    truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
+    known = published.FILTERS[name]
+    settings = Settings(samples=known.samples, radius=known.radius)
+    blurred = apply_filter(name, frame, {}, settings)
+
+    notes = {"jaxblur:version": jaxblur.__version__, "jaxblur:scene": arguments.scene}
+    exr.write_frame(images["sharp"], frame, SHUTTER, attributes=notes)
+    exr.write_image(images["truth"], truth, attributes=notes)
+    exr.write_image(
+        images["blurred"], blurred, images["sharp"], attributes=notes | {"jaxblur:filter": name}
+    )
+    sharp = np.asarray(frame.color)
+    for kind, image in (("sharp", sharp), ("blurred", blurred), ("truth", truth)):
+        exr.write_image(pngs[kind], image)
+        print_line(f"{images[kind]}, {pngs[kind].name}")
+    print_table(SCORE_COLUMNS, score_rows({"sharp": sharp, name: blurred}, truth))
+    print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
+    return 0

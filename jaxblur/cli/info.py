@@ -1,0 +1,169 @@
+"""``jaxblur info``: what a file holds, and how fast things move in it."""
+
+import argparse
+import dataclasses
+import json
+import pathlib
+from typing import Any
+
+from . import published
+from .arguments import add_command, add_vector_options, describe_presets, positive_integer
+from .console import print_line, print_table
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(commands, "info", "List what a file holds and how fast it moves.", run)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.more_help = describe_presets
+    parser.add_argument("file", type=pathlib.Path, help="image file")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--radius",
+        type=positive_integer,
+        default=published.FILTERS[published.DEFAULT_FILTER].radius,
+        metavar="PX",
+        help="count the vectors beyond it (default %(default)s)",
+    )
+    add_vector_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List one file; see `add_parser`."""
+    from jaxblur import exr
+
+    info = exr.inspect(arguments.file)
+    motion = _motion(info, arguments)
+    if arguments.json:
+        listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
+        print(json.dumps(listing | {"motion": motion}, indent=2))
+    else:
+        print_line(info.path)
+        _print_parts(info)
+        _print_motion(motion)
+    return 0
+
+
+def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Recognize the vectors and measure them; ``preset`` is None where there are none."""
+    from jaxblur import exr, vectors
+
+    try:
+        guess = exr.choose_vectors(
+            info, arguments.preset, arguments.layer, arguments.velocity_channels
+        )
+    except exr.JaxblurIOError as error:
+        if arguments.preset != "auto" or arguments.velocity_channels:
+            raise
+        return {"preset": None, "reason": error.reason}
+    found = {"preset": guess.preset.name, "channels": guess.channels, "reason": guess.reason}
+    missing = _missing_option(guess.preset, arguments)
+    if missing:
+        return found | {"speeds": None, "needs": missing}
+    velocity = _velocity(info, guess, arguments)
+    speeds = vectors.speed_statistics(velocity, arguments.radius)
+    return found | {"shutter": arguments.shutter, "speeds": dataclasses.asdict(speeds)}
+
+
+def _missing_option(preset: Any, arguments: argparse.Namespace) -> str | None:
+    if preset.span == "shutter" and arguments.file_shutter is None:
+        return "--file-shutter"
+    if preset.scale == "max-displace" and arguments.max_displace is None:
+        return "--max-displace"
+    return None
+
+
+def _velocity(info: Any, guess: Any, arguments: argparse.Namespace) -> Any:
+    """Read the half-spreads as they are: damaged values are counted, not refused."""
+    from jaxblur import exr
+
+    try:
+        color = exr.choose_color(info, arguments.layer).channels
+    except exr.JaxblurIOError:
+        # A file of vectors alone; any channels of their size stand in for the color.
+        color = guess.channels
+    return exr.read_buffers(
+        info.path,
+        arguments.preset,
+        arguments.shutter,
+        depth="flat",
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        color_channels=color,
+        velocity_channels=arguments.velocity_channels,
+        non_finite="keep",
+    ).velocity
+
+
+def _as_json(part: Any) -> dict[str, Any]:
+    attributes = {
+        name: value
+        for name, value in part.attributes.items()
+        if isinstance(value, str | int | float)
+    }
+    channels = {channel.name: channel.type for channel in part.channels}
+    return dataclasses.asdict(part) | {"channels": channels, "attributes": attributes}
+
+
+def _print_parts(info: Any) -> None:
+    print_table(
+        (">part", "name", "data window", "display window", "compression"),
+        [
+            (
+                index,
+                part.name or "-",
+                _window(part.data_window),
+                _window(part.display_window),
+                part.compression + (", deep" if part.deep else ""),
+            )
+            for index, part in enumerate(info.parts)
+        ],
+    )
+    print_line()
+    print_table(
+        (">part", "channel", "type"),
+        [(channel.part, channel.name, channel.type) for channel in info.channels],
+    )
+    notes = {
+        (name, value)
+        for part in info.parts
+        for name, value in part.attributes.items()
+        if name.startswith("jaxblur:")
+    }
+    if notes:
+        print_line()
+        print_table(("attribute", "value"), sorted(notes))
+
+
+def _window(window: tuple[int, int, int, int]) -> str:
+    x, y, width, height = window
+    return f"{width}x{height} at {x},{y}"
+
+
+def _print_motion(motion: dict[str, Any]) -> None:
+    print_line()
+    if motion["preset"] is None:
+        print_line(f"motion vectors: none ({motion['reason']})")
+        return
+    print_line(f"motion vectors: {motion['reason']}")
+    speeds = motion["speeds"]
+    if speeds is None:
+        print_line(f"speeds not measured: this preset needs {motion['needs']}")
+        return
+    print_line(f"half-spread in pixels at shutter {motion['shutter']:g}:")
+    percentiles = speeds["percentiles"]
+    headings = [">median" if p == 50 else ">max" if p == 100 else f">{p:g} %" for p in percentiles]
+    print_table(headings, [[f"{speed:.2f}" for speed in percentiles.values()]])
+    print_line()
+    print_table(
+        (">zero", ">non-finite", f">beyond {speeds['radius']:g} px", ">suggested radius"),
+        [
+            (
+                f"{100 * speeds['zero_share']:.2f} %",
+                f"{100 * speeds['non_finite_share']:.2f} %",
+                f"{100 * speeds['beyond_share']:.2f} %",
+                f"{speeds['suggested_radius']} px",
+            )
+        ],
+    )

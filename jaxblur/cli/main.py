@@ -1,0 +1,134 @@
+"""Entry point: the parser of all commands, logging, and errors as one line."""
+
+import contextlib
+import io
+import logging
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jaxblur
+
+from . import blur, demo, info, scene, vectors
+from .arguments import CommandError, Parser, in_option_names
+from .console import one_line
+
+LOG = logging.getLogger("jaxblur")
+COMMANDS = (blur, info, vectors, demo, scene)
+
+USAGE = 2
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: arguments after the program's name; those of the process if None.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        SystemExit: ``--help`` and ``--version``, with status 0.
+    """
+    options: dict[str, Any] = {}
+    with _diagnostics():
+        try:
+            arguments = build_parser().parse_args(argv)
+            options = vars(arguments)
+            LOG.setLevel(_level(arguments.verbose, arguments.quiet))
+            status = arguments.run(arguments)
+            sys.stdout.flush()
+            return status
+        except KeyboardInterrupt:
+            LOG.error("interrupted")
+            return INTERRUPTED
+        except BrokenPipeError:
+            _discard_stdout()
+            return BROKEN_PIPE
+        except Exception as error:
+            if not _is_foreseeable(error):
+                raise
+            LOG.debug("%s", traceback.format_exc().rstrip())
+            LOG.error("%s", in_option_names(_message(error), options))
+            return USAGE
+
+
+def build_parser() -> Parser:
+    """Make the parser of all commands."""
+    parser = Parser(prog="jaxblur", description="Motion blur for rendered frames, in JAX.")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {jaxblur.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(commands)
+    return parser
+
+
+class _LineFormatter(logging.Formatter):
+    """``jaxblur: message``, with the level where it is worse than information."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        text = record.getMessage()
+        return f"jaxblur: {level}{text if record.levelno == logging.DEBUG else one_line(text)}"
+
+
+@contextlib.contextmanager
+def _diagnostics() -> Iterator[None]:
+    """Send log records and warnings to stderr for as long as a command runs."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # File and channel names may hold what the terminal's encoding lacks.
+            stream.reconfigure(errors="backslashreplace")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_LineFormatter())
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("always", category=UserWarning)
+            warnings.showwarning = _log_warning
+            yield
+    finally:
+        LOG.removeHandler(handler)
+
+
+def _log_warning(message: Warning | str, *_: Any) -> None:
+    LOG.warning("%s", message)
+
+
+def _level(verbose: bool, quiet: bool) -> int:
+    if quiet:
+        return logging.ERROR
+    return logging.DEBUG if verbose else logging.INFO
+
+
+def _is_foreseeable(error: Exception) -> bool:
+    """Tell what a user can mend from what is a bug in this program."""
+    if isinstance(error, CommandError | ValueError | OSError | MemoryError):
+        return True
+    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+        return True
+    # Late, because it loads the image library.
+    from jaxblur.exr import JaxblurIOError
+
+    return isinstance(error, JaxblurIOError)
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        return f"out of memory; use a smaller frame or fewer samples ({error})"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def _discard_stdout() -> None:
+    """Keep Python from reporting the closed pipe once more when it flushes at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,179 @@
+"""``jaxblur scene``: frames of a catalogue scene, with their truth beside them."""
+
+import argparse
+import inspect
+import logging
+import pathlib
+import re
+import time
+from typing import Any
+
+import jaxblur
+
+from .arguments import (
+    CommandError,
+    add_command,
+    add_compute_options,
+    check_outputs,
+    did_you_mean,
+    make_folder,
+    positive_integer,
+)
+from .compute import start_jax
+from .console import print_line, print_table, track
+
+LOG = logging.getLogger("jaxblur")
+
+FILE_LAYOUT = """\
+NAME.####.exr holds linear color (R, G, B), planar depth (Z, +inf for sky) and the vectors
+velocity.previous.X, .Y and velocity.next.X, .Y in pixels per frame, x right, y down, exact for
+the given shutter; `jaxblur blur` reads it as it is. Frame k is centered on time k; the unit of
+time is one frame."""
+
+_RANGE = re.compile(r"(?P<first>-?\d+)(?:-(?P<last>-?\d+)(?:x(?P<step>[1-9]\d*))?)?")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(commands, "scene", "Render frames of a catalogue scene.", run)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = FILE_LAYOUT
+    parser.add_argument("name", nargs="?", help="scene; see --list")
+    parser.add_argument("--list", action="store_true", help="list the scenes")
+    parser.add_argument("-o", "--output", type=pathlib.Path, metavar="DIR", help="folder")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
+    parser.add_argument(
+        "--frames",
+        type=frame_numbers,
+        default=[0],
+        metavar="A-B[xN]",
+        help="such as 1-8, 1-100x10 or 1,3,7 (default 0); --frames=-4-4 for negative ones",
+    )
+    parser.add_argument(
+        "--shutter",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="exposure in frames, above 0 (default %(default)s)",
+    )
+    parser.add_argument(
+        "--size", type=image_size, default=(720, 1280), metavar="WxH", help="default 1280x720"
+    )
+    parser.add_argument("--ids", action="store_true", help="write NAME_id.####.exr, object numbers")
+    parser.add_argument("--truth", action="store_true", help="write NAME_truth.####.exr too")
+    parser.add_argument(
+        "--truth-samples",
+        type=positive_integer,
+        default=256,
+        metavar="N",
+        help="images that make a truth (default %(default)s)",
+    )
+    add_compute_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render a scene, or list them; see `add_parser`."""
+    if arguments.list:
+        start_jax(not arguments.no_compile_cache)
+        _print_catalogue()
+        return 0
+    if arguments.name is None or arguments.output is None:
+        raise CommandError("give a scene and a folder, NAME -o DIR, or --list.")
+    if not arguments.shutter > 0:
+        raise CommandError(f"--shutter must be above 0, got {arguments.shutter:g}.")
+    make_folder(arguments.output)
+    kinds = [""] + ["_id"] * arguments.ids + ["_truth"] * arguments.truth
+    check_outputs(
+        (_path(arguments, kind, frame) for frame in arguments.frames for kind in kinds),
+        arguments.overwrite,
+    )
+    start_jax(not arguments.no_compile_cache)
+    scene = make_scene(arguments.name)
+    for frame in track(arguments.frames, arguments.name):
+        started = time.perf_counter()
+        _write_frame(scene, arguments, frame)
+        print_line(_path(arguments, "", frame))
+        LOG.info("frame %d ok %.2f s", frame, time.perf_counter() - started)
+    return 0
+
+
+def make_scene(name: str) -> Any:
+    """Build a scene of the catalogue.
+
+    Raises:
+        CommandError: there is none of that name.
+    """
+    from jaxblur.scenes import SCENES
+
+    if name not in SCENES:
+        raise CommandError(
+            f"no scene {name!r}{did_you_mean(name, SCENES)}; there are {', '.join(SCENES)}."
+        )
+    return SCENES[name]()
+
+
+def frame_numbers(text: str) -> list[int]:
+    """Parse frames such as ``1-8``, ``1-100x10`` or ``1,3,7``.
+
+    Raises:
+        ArgumentTypeError: it is something else, or a range is empty.
+    """
+    frames: list[int] = []
+    for item in text.split(","):
+        match = _RANGE.fullmatch(item.strip())
+        if match is None:
+            raise argparse.ArgumentTypeError(f"expected frames such as 1-8 or 1,3,7, got {text!r}")
+        first = int(match["first"])
+        last = int(match["last"] or first)
+        if last < first:
+            raise argparse.ArgumentTypeError(f"{item} is empty, give the first frame first")
+        frames += range(first, last + 1, int(match["step"] or 1))
+    return list(dict.fromkeys(frames))
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Parse ``1280x720`` to (height, width).
+
+    Raises:
+        ArgumentTypeError: it is something else.
+    """
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT such as 1280x720, got {text!r}")
+    return int(match[2]), int(match[1])
+
+
+def _print_catalogue() -> None:
+    from jaxblur.scenes import SCENES
+
+    print_table(
+        ("scene", "what it shows"),
+        [(name, (inspect.getdoc(make) or "").partition("\n")[0]) for name, make in SCENES.items()],
+    )
+
+
+def _path(arguments: argparse.Namespace, kind: str, frame: int) -> pathlib.Path:
+    return arguments.output / f"{arguments.name}{kind}.{frame:04d}.exr"
+
+
+def _write_frame(scene: Any, arguments: argparse.Namespace, number: int) -> None:
+    import numpy as np
+
+    from jaxblur import exr, scenes
+
+    shutter, size = arguments.shutter, arguments.size
+    notes = {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:scene": arguments.name,
+        "jaxblur:time": float(number),
+        "jaxblur:shutter": shutter,
+    }
+    if arguments.truth:
+        truth = np.asarray(scenes.accumulate(scene, number, shutter, arguments.truth_samples, size))
+        samples = {"jaxblur:samples": arguments.truth_samples}
+        exr.write_image(_path(arguments, "_truth", number), truth, attributes=notes | samples)
+    if arguments.ids:
+        ids = np.asarray(scenes.object_ids(scene, number, size))
+        exr.write_channels(_path(arguments, "_id", number), {"id": ids}, attributes=notes)
+    sharp = scenes.render(scene, number, shutter, size, path=True)
+    exr.write_frame(_path(arguments, "", number), sharp, shutter, attributes=notes)

@@ -1,0 +1,129 @@
+"""``jaxblur vectors``: find out from two frames what their motion vectors mean."""
+
+import argparse
+import dataclasses
+import json
+import pathlib
+from typing import Any
+
+from .arguments import (
+    CommandError,
+    add_command,
+    channel_names,
+    positive_integer,
+)
+from .console import print_line, print_table
+
+# The best candidate must explain the motion: leave less of the difference than this.
+EXPLAINED = 0.8
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "vectors",
+        "Rank sign, unit and span of motion vectors by warping the next frame back.",
+        run,
+    )
+    parser.add_argument("file", type=pathlib.Path, help="frame with motion vectors")
+    parser.add_argument(
+        "--next", type=pathlib.Path, required=True, metavar="FILE", help="the following frame"
+    )
+    parser.add_argument(
+        "--velocity-channels",
+        type=channel_names,
+        metavar="X,Y[,X,Y]",
+        help="names of the vector channels, where they are not recognized",
+    )
+    parser.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
+    parser.add_argument(
+        "--shutter",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="exposure, frames, that the vectors might span (default %(default)s)",
+    )
+    parser.add_argument(
+        "--top",
+        type=positive_integer,
+        default=8,
+        metavar="N",
+        help="candidates to list (default %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON, all candidates")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Rank the conventions of one pair of frames; see `add_parser`."""
+    ranking = _rank(arguments)
+    if arguments.json:
+        print(json.dumps(dataclasses.asdict(ranking), indent=2))
+    else:
+        _print_ranking(ranking, arguments.top)
+    return 0
+
+
+def _rank(arguments: argparse.Namespace) -> Any:
+    from jaxblur import exr, vectors
+
+    info = exr.inspect(arguments.file)
+    names = arguments.velocity_channels or list(
+        exr.choose_vectors(info, "auto", arguments.layer).channels
+    )
+    if len(names) % 2:
+        raise CommandError(f"--velocity-channels: expected pairs of x and y, got {len(names)}.")
+    *_, width, height = info.parts[info.channel(names[0]).part].display_window
+    now = exr.read_image(arguments.file, arguments.layer)
+    following = exr.read_image(arguments.next, arguments.layer)
+    if now.shape != following.shape:
+        raise CommandError(
+            f"{arguments.next}: {_size(following)}, but {arguments.file} has {_size(now)}; give "
+            "two frames of one sequence."
+        )
+    raw = exr.read_channels(arguments.file, names)
+    try:
+        return vectors.rank_conventions(
+            now, following, raw, names, shutter=arguments.shutter, size=(height, width)
+        )
+    except ValueError as error:
+        raise CommandError(f"{arguments.file}: {error}") from error
+
+
+def _size(image: Any) -> str:
+    height, width, channels = image.shape
+    return f"{width}x{height} pixels and {channels} channels"
+
+
+def _print_ranking(ranking: Any, count: int) -> None:
+    best = ranking.candidates[0]
+    still = ranking.still_error
+    print_line(f"{100 * ranking.moving_share:.1f} % of the pixels move")
+    print_table(
+        (">", "channels", ">x", ">y", "unit", ">offset", ">span", ">error", "presets"),
+        [
+            (
+                index,
+                ", ".join(candidate.channels),
+                f"{candidate.sign_x:+d}",
+                f"{candidate.sign_y:+d}",
+                candidate.unit,
+                f"{candidate.offset:g}",
+                f"{candidate.span:g}",
+                f"{candidate.error:.5f}",
+                ", ".join(candidate.presets) or "-",
+            )
+            for index, candidate in enumerate(ranking.candidates[:count], start=1)
+        ],
+    )
+    print_line(f"error if nothing moved: {still:.5f}")
+    if best.error > EXPLAINED * still:
+        print_line(
+            "inconclusive: no candidate brings the frames together; are they consecutive, and are "
+            "these the vectors of the first?"
+        )
+    else:
+        print_line(
+            f"best: forward = ({best.sign_x:+d} x, {best.sign_y:+d} y) in {best.unit} over "
+            f"{best.span:g} frames, y down; preset {' or '.join(best.presets) or 'unknown'}"
+        )
