@@ -31,7 +31,7 @@ def zoom() -> Scene:
     head = Body(
         "head",
         primitives.head(3),
-        materials.noise("#8f6a35", "#e0bd78", (0.3, 0.3)),
+        [materials.noise("#8f6a35", "#e0bd78", (0.3, 0.3)), materials.flat("#2a1f1a")],
         rigid((0.5, 1.75, -1.2), orientation=props.turned((0, 1, 0), -14), velocity=(0, 0, 1.1)),
     )
     view = camera((0, 1.9, 6.2), (0, 1.85, 0), field_of_view=52)
@@ -98,7 +98,6 @@ def camera_turn() -> Scene:
         x, z = -5.4 + 1.8 * i, generator.uniform(-6.5, -3.2)
         size, turn = generator.uniform(1.0, 1.8), generator.uniform(-40, 40)
         bodies.append(props.crate(f"crate {i}", (x, 0, z), size, turn))
-    bodies.append(props.crate("upper crate", (-1.8, 1.75, -4.6), 0.9, 15))
     view = camera((0, 1.8, 3.0), (0, 2.0, -4), field_of_view=60, turn=0.07)
     return make_scene("camera_turn", bodies, view, daylight((0.5, 0.7, 0.6)))
 
@@ -125,7 +124,7 @@ def tracked_car() -> Scene:
         for x in range(-21, 24, 3)
     ]
     crowns = [
-        primitives.sphere(1.1, 20).painted(1).moved((x, 3.6, -2.6 - 0.4 * (x % 2)))
+        primitives.sphere(1.1, 14).painted(1).moved((x, 3.6, -2.6 - 0.4 * (x % 2)))
         for x in range(-21, 24, 3)
     ]
     wood = [materials.flat("#5d4733"), materials.noise("#3e6b33", "#8db35c", (4, 2))]
@@ -179,7 +178,7 @@ def static() -> Scene:
             "ring",
             primitives.torus(0.9, 0.33),
             materials.brick("#fbf1dc", "#5d8f55", (14, 6)),
-            rigid((-3.9, 1.23, 2.0), orientation=props.turned((0, 1, 0), 35)),
+            rigid((-2.9, 1.23, 3.0), orientation=props.turned((0, 1, 0), 35)),
         ),
         props.floor(materials.checker("#8a6f52", "#d6c29f", (0.4, 0.4)), (40, 40)),
         props.wall("wall", props.bricks("#8d99a0", "#b9c2c4", 0.6), (40, 16), (0, 8, -6)),

@@ -41,7 +41,7 @@ def cubes_on_teapot() -> Scene:
     pot = Body(
         "teapot",
         primitives.teapot(3),
-        materials.noise("#d9cdb8", "#f3ecdd", (0.2, 0.2)),
+        materials.noise("#b9a88c", "#f3ecdd", (0.25, 0.25)),
         rigid((-0.2, 0, 0), orientation=props.turned((0, 1, 0), -25)),
     )
     colors = ["#c8503c", "#3f7fb0", "#e0ab3c", "#5b9a5a"]
@@ -152,7 +152,7 @@ def acceleration_from_rest() -> Scene:
         props.floor(props.grid("#5c5348", "#a89880", 0.7), (24, 24)),
         props.wall("wall", props.bricks("#86796b", "#b98f70", 0.3), (24, 10), (0, 5, -2.6)),
     ]
-    view = camera((0, 2.1, 7.0), (0, 1.25, 0), field_of_view=50)
+    view = camera((0, 2.1, 7.0), (0.2, 1.45, 0), field_of_view=60)
     return make_scene("acceleration_from_rest", bodies, view, daylight())
 
 

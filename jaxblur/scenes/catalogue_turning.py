@@ -151,7 +151,7 @@ def rotor_over_city() -> Scene:
     hull = primitives.blob(
         [(x, y, 0) for x in range(3) for y in range(2)]
         + [(-1, 1, 0), (-2, 1, 0), (-3, 1, 0), (-3, 2, 0)],
-        3,
+        2,
         cell=(0.75, 0.6, 0.9),
     ).moved((-0.6, -0.6, -0.45))
     bodies = [

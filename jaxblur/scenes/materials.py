@@ -293,4 +293,4 @@ def noise_texels(seed: int = 7) -> np.ndarray:
 
 def stack(materials: Sequence[Material]) -> Material:
     """Stack materials along a new leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *materials)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *materials)

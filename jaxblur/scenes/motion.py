@@ -84,19 +84,19 @@ def rigid(
         ValueError: an axis has no length.
     """
     return Motion(
-        orientation=jnp.asarray(np.eye(3) if orientation is None else orientation, jnp.float32),
-        travel=jnp.asarray([position, velocity, acceleration], jnp.float32),
+        orientation=jnp.asarray(np.eye(3) if orientation is None else orientation, np.float32),
+        travel=jnp.asarray([position, velocity, acceleration], np.float32),
         spin_axis=_unit("spin_axis", spin_axis),
         spin=_angles(spin),
         orbit_axis=_unit("orbit_axis", orbit_axis),
-        orbit_pivot=jnp.asarray(orbit_pivot, jnp.float32),
+        orbit_pivot=jnp.asarray(orbit_pivot, np.float32),
         orbit=_angles(orbit),
-        start=jnp.asarray(start, jnp.float32),
+        start=jnp.asarray(start, np.float32),
     )
 
 
 def _angles(values: Vector) -> Float[Array, " 3"]:
-    return jnp.zeros(3, jnp.float32).at[: len(values)].set(jnp.asarray(values, jnp.float32))
+    return jnp.asarray(np.pad(np.asarray(values, np.float32), (0, 3 - len(values))))
 
 
 def _unit(name: str, axis: Vector) -> Float[Array, " 3"]:
@@ -146,7 +146,7 @@ def transform(
 
 def stack(motions: Sequence[Motion]) -> Motion:
     """Stack motions along a new leading axis."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *motions)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *motions)
 
 
 @jax.tree_util.register_dataclass

@@ -305,9 +305,9 @@ def wheel(radius: float = 1.0, spokes: int = 6, width: float = 0.3) -> Mesh:
     Returns:
         Closed parts in one mesh.
     """
-    circle = 2 * np.pi * np.arange(48) / 48
+    circle = 2 * np.pi * np.arange(40) / 40
     around = radius * np.stack([np.cos(circle), np.sin(circle)], -1)
-    tire = torus(0.86 * radius, 0.14 * radius, 48, 14)
+    tire = torus(0.86 * radius, 0.14 * radius, 40, 10)
     rim = extruded_ring(0.78 * around, 0.68 * around, 0.5 * width).painted(1)
     hub = extruded_ring(0.2 * around, 0.08 * around, width).painted(1)
     spoke = box((0.54 * radius, 0.1 * radius, 0.3 * width)).painted(1)
@@ -315,7 +315,7 @@ def wheel(radius: float = 1.0, spokes: int = 6, width: float = 0.3) -> Mesh:
 
 
 def head(levels: int = 3) -> Mesh:
-    """Make a lion-like head: a cage of cells with mane, snout and ears, subdivided.
+    """Make a lion-like head: a subdivided cage (slot 0) with eyes and a nose (slot 1).
 
     Args:
         levels: Catmull-Clark steps.
@@ -324,12 +324,14 @@ def head(levels: int = 3) -> Mesh:
         A closed, smooth mesh about 4 units high, around the origin, that faces +z.
     """
     skull = [(x, y, z) for x in range(3) for y in range(3) for z in range(2)]
-    mane = [(x, y, -1) for x in range(-1, 4) for y in range(-1, 4)]
-    snout = [(1, 0, 2), (1, 1, 2), (1, 0, 3)]
+    corners = {(x, y) for x in (-1, 3) for y in (-1, 3)}
+    mane = [(x, y, -1) for x in range(-1, 4) for y in range(-1, 4) if (x, y) not in corners]
+    snout = [(1, 0, 2), (1, 0, 3)]
     ears = [(0, 3, 0), (2, 3, 0)]
-    return blob([*skull, *mane, *snout, *ears], levels, cell=(0.8, 0.8, 0.8)).moved(
-        (-1.2, -1.2, -1)
-    )
+    face = blob([*skull, *mane, *snout, *ears], levels, cell=(0.8, 0.8, 0.8))
+    spots = [(0.27, (0.55, 1.75, 1.45)), (0.27, (1.85, 1.75, 1.45)), (0.24, (1.2, 0.62, 2.95))]
+    dark = [sphere(radius, 14).painted(1).moved(place) for radius, place in spots]
+    return join([face, *dark]).moved((-1.2, -1.2, -1))
 
 
 def car(levels: int = 2) -> Mesh:
@@ -345,9 +347,9 @@ def car(levels: int = 2) -> Mesh:
     floor = [(x, 0, z) for x in range(6) for z in range(2)]
     cabin = [(x, 1, z) for x in range(1, 4) for z in range(2)]
     body = blob([*floor, *cabin], levels, cell=(0.72, 0.62, 0.85)).moved((-2.1, 0.3, -0.85))
-    window = box((0.62, 0.32, 1.5)).painted(1)
-    sides = [window.moved((x, 1.1, 0)) for x in (-0.92, -0.2)]
-    windshield = box((1.9, 0.3, 1.1)).painted(1).moved((-0.55, 1.1, 0))
+    window = box((0.62, 0.3, 1.62)).painted(1)
+    sides = [window.moved((x, 1.16, 0)) for x in (-0.7, 0.08)]
+    windshield = box((2.2, 0.28, 1.1)).painted(1).moved((-0.3, 1.16, 0))
     lights = [box((0.1, 0.16, 0.3)).painted(2).moved((2.05, 0.62, z)) for z in (-0.4, 0.4)]
     stripe = box((3.6, 0.1, 1.66)).painted(2).moved((0.0, 0.55, 0))
     return join([body, *sides, windshield, *lights, stripe])
@@ -362,15 +364,14 @@ def teapot(levels: int = 3) -> Mesh:
     Returns:
         A closed, smooth mesh about 5 units wide that stands on y = 0.
     """
-    body = [(x, y, z) for x in range(3) for y in range(2) for z in range(3)]
-    spout = [(3, 0, 1), (4, 0, 1), (4, 1, 1), (4, 2, 1)]
-    handle = [(-1, 1, 1), (-2, 1, 1), (-2, 0, 1), (-2, -1, 1), (-1, -1, 1), (0, -1, 1)]
-    lid = [(1, 2, 1)]
-    base = [(x, -1, z) for x in range(3) for z in range(3) if (x, z) != (0, 1)]
-    mesh = blob([*body, *spout, *handle, *lid, *base], levels)
+    square = [(x, z) for x in range(3) for z in range(3)]
+    cross = [(x, z) for x, z in square if 1 in (x, z)]
+    body = [(x, y, z) for y, layer in ((-1, cross), (0, square), (1, cross)) for x, z in layer]
+    spout = [(3, 0, 1), (4, 0, 1), (4, 1, 1), (5, 1, 1), (5, 2, 1)]
+    handle = [(-1, 1, 1), (-2, 1, 1), (-2, 0, 1), (-2, -1, 1), (-1, -1, 1)]
+    mesh = blob([*body, *spout, *handle, (1, 2, 1)], levels, cell=(1.0, 1.1, 1.0))
     low = mesh.points.min(axis=0)
-    center = np.array([1.5, low[1], 1.5])
-    return mesh.moved(-center)
+    return mesh.moved((-1.5, -low[1], -1.5))
 
 
 def blob(

@@ -7,13 +7,13 @@ import numpy as np
 from . import materials, primitives
 from .materials import Color, Material
 from .mesh import join
-from .motion import rigid
+from .motion import Vector, rigid
 from .scene import Body
 
 WHEEL_RADIUS = 0.42
 
 
-def turned(axis: Sequence[float], degrees: float) -> np.ndarray:
+def turned(axis: Vector, degrees: float) -> np.ndarray:
     """Rotate about an axis by the right-hand rule: a (3, 3) matrix."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -116,7 +116,7 @@ def city(seed: int, blocks: int, spacing: float, tallest: float) -> list[Body]:
     return [
         floor(grid("#d8d4c8", "#5a5d60", spacing, 0.05), (extent, extent)),
         *(
-            Body(f"houses {i}", join(part), grid("#3d4654", color, 0.42, 0.36))
+            Body(f"houses {i}", join(part), grid("#59636f", color, 0.55, 0.4))
             for i, (part, color) in enumerate(zip(houses, colors, strict=True))
             if part
         ),

@@ -328,9 +328,8 @@ def rays(
 
 def enough(rows: int, fragments: int) -> Capacity:
     """Round counts up, with a margin, to a capacity that similar scenes share."""
-    return Capacity(_rounded(rows, 4096), _rounded(fragments, 16384))
+    return Capacity(_rounded(rows, 8192), _rounded(fragments, 16384))
 
 
 def _rounded(count: int, smallest: int) -> int:
-    steps = np.ceil(2 * np.log2(max(1.1 * count / smallest, 1.0)))
-    return int(np.ceil(smallest * 2 ** (steps / 2)))
+    return smallest * 2 ** int(np.ceil(np.log2(max(1.05 * count / smallest, 1.0))))

@@ -281,10 +281,10 @@ def _palette(bodies: Sequence[Body]) -> tuple[list[Material], list[np.ndarray]]:
 
 
 def _bucket(count: int, smallest: int) -> int:
-    """Round up to `smallest` times a power of two."""
+    """Round up to `smallest` times a power of four."""
     size = smallest
     while size < count:
-        size *= 2
+        size *= 4
     return size
 
 

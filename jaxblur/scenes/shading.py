@@ -125,7 +125,7 @@ def irradiance(
         (3, N) what the albedo is multiplied with, linear light.
     """
     corners = pose.normals[triangle].reshape(-1, 9).T
-    normal = sum(weights[i] * corners[3 * i : 3 * i + 3] for i in range(3))
+    normal = jnp.einsum("cn,cin->in", weights, corners.reshape(3, 3, -1))
     normal *= jax.lax.rsqrt(jnp.maximum(dot(normal, normal), 1e-20))
     normal = jnp.where(faces_away & ~world.closed[triangle], -normal, normal)
     light = world.light
