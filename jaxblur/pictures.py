@@ -8,13 +8,11 @@ import os
 import pathlib
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from . import exr, metrics, srgb
-
-Image = Float[jax.Array | np.ndarray, "height width channels"]
+from .metrics import Image
 
 SEPARATOR = 4
 SEPARATOR_DISPLAY_VALUE = 0.5
