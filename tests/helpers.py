@@ -59,4 +59,4 @@ def check_gradients(function, *arguments, order=1):
     def on_arrays(*values):
         return function(*jax.tree.map(jnp.asarray, values))
 
-    check_grads(on_arrays, arguments, order=order, modes=("fwd", "rev"))
+    check_grads(on_arrays, arguments, order, ("fwd", "rev"), eps=1e-6, atol=1e-5, rtol=1e-5)

@@ -195,6 +195,37 @@ def guertin2014(
     Raises:
         ValueError: shapes disagree.
     """
+    colors, chances = tile_outcomes(frame, parameters, settings=settings, noise=noise)
+    return colors[0] if len(colors) == 1 else jnp.sum(colors * chances[..., None], axis=0)
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def tile_outcomes(
+    frame: Frame,
+    parameters: GuertinParameters,
+    *,
+    settings: Settings = Settings(),
+    noise: Noise | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """What `guertin2014` gives for each choice of tile, and how probable each choice is.
+
+    With ``tile_choice="expected"`` these are all outcomes of ``stochastic``, so that any
+    expectation over the tile jitter can be had exactly: the mean image is ``sum_k P_k c_k``, the
+    expected squared error ``sum_k P_k |c_k - truth|^2``. Otherwise there is one outcome.
+
+    Args:
+        frame: as `guertin2014`.
+        parameters: as `guertin2014`.
+        settings: as `guertin2014`.
+        noise: as `guertin2014`.
+
+    Returns:
+        Colors (K, H, W, C) and probabilities (K, H, W) that sum to 1 over K; K is 3 for
+        ``expected`` (own tile, neighbor along x, neighbor along y), else 1.
+
+    Raises:
+        ValueError: shapes disagree.
+    """
     frame = check_frame(frame)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
@@ -211,7 +242,9 @@ def guertin2014(
 
     if settings.tile_choice == "expected":
         indices, chances = reachable_tiles(height, width, settings.radius, parameters.tau)
-        return jnp.sum(lax.map(blur, indices) * chances[..., None], axis=0)
+        return lax.map(blur, indices), chances
     if settings.tile_choice == "own":
-        return blur(own_tile(height, width, settings.radius))
-    return blur(stochastic_tile(noise.tile, parameters.tau, settings.radius))
+        tile = own_tile(height, width, settings.radius)
+    else:
+        tile = stochastic_tile(noise.tile, parameters.tau, settings.radius)
+    return blur(tile)[None], jnp.ones((1, height, width), frame.color.dtype)

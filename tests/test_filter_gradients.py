@@ -1,0 +1,147 @@
+"""Gradients of the filters: right away from kinks, finite everywhere."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur.filters import FILTERS
+from tests.helpers import check_gradients, fields, random_frame, random_noise
+
+PARAMETERS = {
+    "guertin2014": {
+        "kappa": 11.0,
+        "gamma": 2.3,
+        "tau": 0.71,
+        "eta": 0.83,
+        "phi": 2.9,
+        "depth_sharpness": 1.7,
+    },
+    "mcguire2012": {"soft_z_extent": 3.7},
+    "pixel_velocity": {},
+}
+CLASSES = {
+    "guertin2014": jaxblur.GuertinParameters,
+    "mcguire2012": jaxblur.McGuireParameters,
+    "pixel_velocity": lambda: None,
+}
+
+
+def blur(name, settings, noise):
+    def function(color, depth, velocity, parameters):
+        frame = jaxblur.Frame(color, depth, velocity)
+        return FILTERS[name](frame, CLASSES[name](**parameters), settings=settings, noise=noise)
+
+    return function
+
+
+@pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_input_equals_finite_differences(name, fetch):
+    shape = (5, 7)
+    settings = jaxblur.Settings(samples=5, radius=4, fetch=fetch, tile_choice="expected")
+    with jax.enable_x64(True):
+        frame = random_frame(shape, seed=5, speed=5.0, dtype=np.float64, channels=2)
+        noise = random_noise(shape, dtype=np.float64)
+        check_gradients(
+            blur(name, settings, noise),
+            *(np.asarray(b) for b in (frame.color, frame.depth, frame.velocity)),
+            PARAMETERS[name],
+        )
+
+
+@pytest.mark.parametrize("field", PARAMETERS["guertin2014"])
+def test_every_parameter_matters_and_has_its_gradient(field):
+    shape = (12, 13)
+    settings = jaxblur.Settings(samples=7, radius=4, fetch="bilinear", tile_choice="expected")
+    with jax.enable_x64(True):
+        frame = random_frame(shape, speed=5.0, dtype=np.float64)
+        function = blur("guertin2014", settings, random_noise(shape, dtype=np.float64))
+
+        def loss(value):
+            parameters = PARAMETERS["guertin2014"] | {field: value}
+            output = function(frame.color, frame.depth, frame.velocity, parameters)
+            return jnp.mean((output - 0.3) ** 2)
+
+        value, step = PARAMETERS["guertin2014"][field], 1e-6
+        gradient = jax.grad(loss)(value)
+        numeric = (loss(value + step) - loss(value - step)) / (2 * step)
+        assert abs(gradient) > 1e-9
+        np.testing.assert_allclose(gradient, numeric, rtol=1e-5)
+        np.testing.assert_allclose(jax.jvp(loss, (value,), (1.0,))[1], gradient, rtol=1e-8)
+
+
+def kink_frames():
+    """Frames that sit on every kink that the specification names."""
+    shape = (8, 9)
+    base = random_frame(shape, speed=5.0)
+    opposed = jnp.where(jnp.arange(9)[None, :, None] % 2 == 0, 1.0, -1.0)
+    right = jnp.asarray([1.0, 0.0])
+
+    def with_velocity(velocity):
+        return jaxblur.Frame(base.color, base.depth, jnp.broadcast_to(velocity, (*shape, 2)))
+
+    def with_depth(depth):
+        return jaxblur.Frame(base.color, jnp.broadcast_to(depth, shape), base.velocity)
+
+    return {
+        "still": with_velocity(jnp.zeros(2)),
+        "half a pixel": with_velocity(0.5 * right),
+        "exactly the radius": with_velocity(4.0 * right),
+        "far beyond the radius": with_velocity(1e6 * right),
+        "tiny": with_velocity(1e-20 * right),
+        "opposed": with_velocity(3 * opposed * right),
+        "some still": with_velocity(jnp.where(opposed > 0, 3.0 * right, 0.0)),
+        "sky": with_depth(jnp.inf),
+        "half sky": with_depth(jnp.where(jnp.arange(9) < 4, jnp.inf, 2.0)),
+        "one depth": with_depth(2.0),
+        "extreme depths": with_depth(jnp.where(jnp.arange(9) % 2 == 0, 1e-30, 1e9)),
+        "one pixel": jax.tree.map(lambda buffer: buffer[:1, :1], base),
+        "one row": jax.tree.map(lambda buffer: buffer[:1], base),
+    }
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_value_and_gradients_are_finite_at_every_kink(name):
+    for choice, fetch in (("stochastic", "bilinear"), ("expected", "nearest")):
+        settings = jaxblur.Settings(samples=5, radius=4, fetch=fetch, tile_choice=choice)
+        function = blur(name, settings, None)
+
+        @jax.jit
+        def both_modes(frame, function=function):
+            inputs = (frame.color, frame.depth, frame.velocity, PARAMETERS[name])
+            value, pull = jax.vjp(function, *inputs)
+            ones = jax.tree.map(jnp.ones_like, jax.tree.map(jnp.asarray, inputs))
+            return value, pull(jnp.ones_like(value)), jax.jvp(function, inputs, ones)[1]
+
+        for kink, frame in kink_frames().items():
+            for leaf in jax.tree.leaves(both_modes(frame)):
+                assert jnp.isfinite(leaf).all(), (kink, choice)
+
+
+def test_gradients_survive_debug_nans_vmap_and_checkpoint():
+    frame = random_frame((6, 7), speed=4.0)
+    settings = jaxblur.Settings(samples=3, radius=4, tile_choice="expected")
+    function = blur("guertin2014", settings, None)
+
+    def loss(color, kappa):
+        parameters = fields(jaxblur.GuertinParameters(kappa=kappa))
+        return jnp.sum(function(color, frame.depth, frame.velocity, parameters) ** 2)
+
+    colors = jnp.stack([frame.color, 2 * frame.color])
+    with jax.debug_nans(True):
+        batched = jax.vmap(jax.grad(loss, argnums=1), in_axes=(0, None))(colors, 40.0)
+    single = [jax.grad(jax.checkpoint(loss), argnums=1)(color, 40.0) for color in colors]
+    np.testing.assert_allclose(batched, single, rtol=1e-4)
+
+
+def test_gradient_of_parameters_alone_scatters_nothing():
+    frame = random_frame((16, 16))
+    function = blur("guertin2014", jaxblur.Settings(samples=5, radius=8), None)
+
+    def loss(kappa):
+        parameters = fields(jaxblur.GuertinParameters(kappa=kappa))
+        return jnp.sum(function(frame.color, frame.depth, frame.velocity, parameters))
+
+    assert "scatter" not in jax.jit(jax.grad(loss)).lower(40.0).compile().as_text()
