@@ -153,7 +153,7 @@ def torus(radius: float = 1.0, tube: float = 0.3, segments: int = 48, sides: int
         A closed mesh with exact smooth normals.
     """
     around = 2 * np.pi * np.arange(segments) / segments
-    across = -2 * np.pi * np.arange(sides)[:, None] / sides
+    across = 2 * np.pi * np.arange(sides)[:, None] / sides
     out = np.stack([np.cos(around), np.sin(around), 0 * around], -1)
     normals = np.cos(across)[..., None] * out + np.sin(across)[..., None] * np.array([0, 0, 1.0])
     return _tube(radius * out + tube * normals, normals, wrap_rows=True)
@@ -347,7 +347,7 @@ def car(levels: int = 2) -> Mesh:
     floor = [(x, 0, z) for x in range(6) for z in range(2)]
     cabin = [(x, 1, z) for x in range(1, 4) for z in range(2)]
     body = blob([*floor, *cabin], levels, cell=(0.72, 0.62, 0.85)).moved((-2.1, 0.3, -0.85))
-    window = box((0.62, 0.3, 1.62)).painted(1)
+    window = box((0.62, 0.3, 1.78)).painted(1)
     sides = [window.moved((x, 1.16, 0)) for x in (-0.7, 0.08)]
     windshield = box((2.2, 0.28, 1.1)).painted(1).moved((-0.3, 1.16, 0))
     lights = [box((0.1, 0.16, 0.3)).painted(2).moved((2.05, 0.62, z)) for z in (-0.4, 0.4)]
@@ -364,14 +364,17 @@ def teapot(levels: int = 3) -> Mesh:
     Returns:
         A closed, smooth mesh about 5 units wide that stands on y = 0.
     """
-    square = [(x, z) for x in range(3) for z in range(3)]
-    cross = [(x, z) for x, z in square if 1 in (x, z)]
-    body = [(x, y, z) for y, layer in ((-1, cross), (0, square), (1, cross)) for x, z in layer]
+    body = [(x, y, z) for x in range(3) for y in (-1, 0, 1) for z in range(3)]
     spout = [(3, 0, 1), (4, 0, 1), (4, 1, 1), (5, 1, 1), (5, 2, 1)]
     handle = [(-1, 1, 1), (-2, 1, 1), (-2, 0, 1), (-2, -1, 1), (-1, -1, 1)]
-    mesh = blob([*body, *spout, *handle, (1, 2, 1)], levels, cell=(1.0, 1.1, 1.0))
-    low = mesh.points.min(axis=0)
-    return mesh.moved((-1.5, -low[1], -1.5))
+    points, quads = _cage({*body, *spout, *handle, (1, 2, 1)})
+    # The square body becomes a disc, narrower at its foot and shoulder.
+    across = (points[:, [0, 2]] - 1.5) / 1.5
+    inside = np.clip(across, -1, 1)
+    girth = np.where(np.isin(points[:, 1], (-1, 2)), 0.85, 1.1)[:, None]
+    points[:, [0, 2]] = 1.5 * girth * across * np.sqrt(1 - inside[:, ::-1] ** 2 / 2)
+    mesh = _subdivided(points, quads, levels)
+    return mesh.moved((0, -mesh.points[:, 1].min(), 0))
 
 
 def blob(
@@ -395,7 +398,10 @@ def blob(
         ValueError: an edge of the boundary has more than two faces.
     """
     points, quads = _cage(set(cells))
-    points = points * np.asarray(cell)
+    return _subdivided(points * np.asarray(cell), quads, levels)
+
+
+def _subdivided(points: np.ndarray, quads: Quads, levels: int) -> Mesh:
     for _ in range(levels):
         points, quads = _catmull_clark(points, quads)
     triangles = _split(quads)

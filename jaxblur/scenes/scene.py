@@ -18,6 +18,8 @@ from .mesh import Mesh
 from .motion import Camera, Motion, Vector, rigid
 
 NEAR = 0.05
+FEWEST_OWNERS = 64
+FEWEST_ROWS = 4096
 
 
 @dataclasses.dataclass(frozen=True)
@@ -240,9 +242,11 @@ def make_scene(name: str, bodies: Sequence[Body], camera: Camera, light: Light) 
     motions = [body.motion for body in bodies]
     world = World(
         **{key: _padded(np.concatenate(column)) for key, column in columns.items()},
-        motions=motion.stack(motions + motions[:1] * (_bucket(len(motions), 16) - len(motions))),
+        motions=motion.stack(
+            motions + motions[:1] * (_bucket(len(motions), FEWEST_OWNERS) - len(motions))
+        ),
         materials=materials.stack(
-            palette + palette[:1] * (_bucket(len(palette), 16) - len(palette))
+            palette + palette[:1] * (_bucket(len(palette), FEWEST_OWNERS) - len(palette))
         ),
         camera=camera,
         light=light,
@@ -290,7 +294,7 @@ def _bucket(count: int, smallest: int) -> int:
 
 def _padded(values: np.ndarray) -> Array:
     kind = {"f": jnp.float32, "i": jnp.int32, "b": jnp.bool_}[values.dtype.kind]
-    extra = _bucket(len(values), 1024) - len(values)
+    extra = _bucket(len(values), FEWEST_ROWS) - len(values)
     return jnp.asarray(np.pad(values, [(0, extra)] + [(0, 0)] * (values.ndim - 1)), kind)
 
 
