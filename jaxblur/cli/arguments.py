@@ -132,7 +132,7 @@ def in_option_names(message: str, options: Mapping[str, Any]) -> str:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the known name nearest to a mistyped one, or nothing."""
     near = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean {near[0]}?" if near else ""
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def preset_name(text: str) -> str:
@@ -183,37 +183,33 @@ def positive_integer(text: str) -> int:
 
 
 def check_outputs(outputs: Iterable[pathlib.Path], overwrite: bool) -> None:
-    """Refuse outputs that cannot be written before any work is done.
+    """Refuse outputs that must not be written, before any work is done.
 
     Args:
         outputs: files to write.
         overwrite: existing files may be replaced.
 
     Raises:
-        CommandError: a folder is missing or read-only, or a file exists.
+        CommandError: a file exists, or it is a folder.
     """
     for output in outputs:
-        folder = output.parent
-        if not folder.is_dir():
-            raise CommandError(f"{output}: no folder {folder}; create it first.")
-        if not os.access(folder, os.W_OK):
-            raise CommandError(f"{output}: the folder {folder} is not writable.")
         if output.is_dir():
             raise CommandError(f"{output}: is a folder; give a file name.")
         if output.exists() and not overwrite:
             raise CommandError(f"{output}: exists; pass --overwrite to replace it.")
 
 
-def make_folder(folder: pathlib.Path) -> None:
-    """Create a folder for outputs if it is missing, with its parents.
+def check_folder(folder: pathlib.Path) -> None:
+    """Refuse a folder that neither is there nor can be made.
 
     Raises:
-        CommandError: it is a file, or the system refuses.
+        CommandError: something on its path is no folder, or not writable.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"{folder}: cannot make this folder: {error.strerror}.") from error
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise CommandError(f"{folder}: {existing} is not a folder; choose another name.")
+    if not os.access(existing, os.W_OK):
+        raise CommandError(f"{folder}: the folder {existing} is not writable.")
 
 
 def describe_presets() -> str:

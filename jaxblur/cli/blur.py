@@ -19,6 +19,7 @@ from .arguments import (
     add_compute_options,
     add_vector_options,
     channel_names,
+    check_folder,
     check_outputs,
     describe_presets,
     one_of,
@@ -123,18 +124,10 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _settings(arguments)
     parameters = published.checked_parameters(arguments.filter, dict(arguments.param))
     outputs = _outputs(arguments)
-    sources = [
-        path
-        for path in (
-            arguments.input,
-            arguments.velocity_from,
-            arguments.depth_from,
-            arguments.truth,
-        )
-        if path is not None
-    ]
-    for output in outputs:
-        exr.refuse_overwrite(output, *sources)
+    for source in _sources(arguments):
+        exr.inspect(source)
+        for output in outputs:
+            exr.refuse_overwrite(output, source)
     check_outputs(outputs, arguments.overwrite)
     started = time.perf_counter()
     buffers = read_buffers(arguments)
@@ -242,8 +235,16 @@ def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
     suffix = output.suffix.lower()
     if suffix not in (".exr", ".png"):
         raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_folder(output.parent)
     beside = [output.with_suffix(".png")] if arguments.png and suffix == ".exr" else []
     return [output, *beside]
+
+
+def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
+    files = (arguments.input, arguments.velocity_from, arguments.depth_from, arguments.truth)
+    return [path for path in files if path is not None]
 
 
 def _with_radius(settings: Settings, arguments: argparse.Namespace, buffers: Any) -> Settings:
@@ -297,7 +298,7 @@ def score_rows(images: Mapping[str, Any], truth: Any) -> list[tuple[str, ...]]:
 
     rows = []
     for name, image in images.items():
-        score = metrics.compare(image, truth)
+        score = metrics.compare(metrics.rgb(image), metrics.rgb(truth))
         rows.append((name, f"{score.psnr:.2f}", f"{score.ssim:.4f}", f"{score.flip:.4f}"))
     return rows
 

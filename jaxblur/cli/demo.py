@@ -8,7 +8,7 @@ import jaxblur
 from jaxblur.settings import Settings
 
 from . import published
-from .arguments import add_command, add_compute_options, check_outputs, make_folder
+from .arguments import add_command, add_compute_options, check_folder, check_outputs
 from .blur import SCORE_COLUMNS, apply_filter, score_rows
 from .compute import start_jax
 from .console import print_line, print_table
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import exr
 
     folder, name = arguments.output, published.DEFAULT_FILTER
-    make_folder(folder)
+    check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
     check_outputs([*images.values(), *pngs.values()], arguments.overwrite)
@@ -56,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import scenes
 
     scene = make_scene(arguments.scene)
+    folder.mkdir(parents=True, exist_ok=True)
     frame = scenes.render(scene, 0.0, SHUTTER, arguments.size, path=True)
     truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
     known = published.FILTERS[name]

@@ -7,7 +7,13 @@ import pathlib
 from typing import Any
 
 from . import published
-from .arguments import add_command, add_vector_options, describe_presets, positive_integer
+from .arguments import (
+    add_command,
+    add_vector_options,
+    describe_presets,
+    in_option_names,
+    positive_integer,
+)
 from .console import print_line, print_table
 
 
@@ -55,7 +61,7 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
     except exr.JaxblurIOError as error:
         if arguments.preset != "auto" or arguments.velocity_channels:
             raise
-        return {"preset": None, "reason": error.reason}
+        return {"preset": None, "reason": in_option_names(error.reason, vars(arguments))}
     found = {"preset": guess.preset.name, "channels": guess.channels, "reason": guess.reason}
     missing = _missing_option(guess.preset, arguments)
     if missing:

@@ -56,22 +56,22 @@ class Published:
 
 
 def _positive(default: float, meaning: str) -> Parameter:
-    return Parameter(default, 0, math.inf, True, meaning)
+    return Parameter(default, 0.0, math.inf, True, meaning)
 
 
 def _not_negative(default: float, meaning: str) -> Parameter:
-    return Parameter(default, 0, math.inf, False, meaning)
+    return Parameter(default, 0.0, math.inf, False, meaning)
 
 
 FILTERS: dict[str, Published] = {
     "guertin2014": Published(
         {
-            "kappa": _positive(40, "divides the weight of the pixel's own color"),
+            "kappa": _positive(40.0, "divides the weight of the pixel's own color"),
             "gamma": _positive(1.5, "speed, px, over which the second direction turns"),
-            "tau": Parameter(1, 0, 1, False, "reach of the tile jitter, tiles"),
+            "tau": Parameter(1.0, 0.0, 1.0, False, "reach of the tile jitter, tiles"),
             "eta": _not_negative(0.95, "largest jitter of the samples, spacings"),
-            "phi": _not_negative(27, "number of samples that eta refers to"),
-            "depth_sharpness": _positive(1, "how strictly depths are told apart"),
+            "phi": _not_negative(27.0, "number of samples that eta refers to"),
+            "depth_sharpness": _positive(1.0, "how strictly depths are told apart"),
         },
         samples=35,
         radius=40,

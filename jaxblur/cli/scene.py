@@ -14,9 +14,9 @@ from .arguments import (
     CommandError,
     add_command,
     add_compute_options,
+    check_folder,
     check_outputs,
     did_you_mean,
-    make_folder,
     positive_integer,
 )
 from .compute import start_jax
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError("give a scene and a folder, NAME -o DIR, or --list.")
     if not arguments.shutter > 0:
         raise CommandError(f"--shutter must be above 0, got {arguments.shutter:g}.")
-    make_folder(arguments.output)
+    check_folder(arguments.output)
     kinds = [""] + ["_id"] * arguments.ids + ["_truth"] * arguments.truth
     check_outputs(
         (_path(arguments, kind, frame) for frame in arguments.frames for kind in kinds),
@@ -89,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     start_jax(not arguments.no_compile_cache)
     scene = make_scene(arguments.name)
+    arguments.output.mkdir(parents=True, exist_ok=True)
     for frame in track(arguments.frames, arguments.name):
         started = time.perf_counter()
         _write_frame(scene, arguments, frame)

@@ -1,0 +1,231 @@
+"""The command line as a whole: start-up, usage errors, exit status, what reaches a terminal."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import jaxblur
+from jaxblur.cli import arguments, blur, console, published
+from jaxblur.cli.main import build_parser
+from tests.command_line import refused, run, spawn
+from tests.exr_files import CAR, plain_frame, write_single
+
+NO_JAX = """
+import contextlib, json, sys
+from jaxblur.cli import main
+statuses = []
+for arguments in json.loads(sys.argv[1]):
+    try:
+        statuses.append(main(arguments))
+    except SystemExit as done:
+        statuses.append(done.code)
+    assert "jax" not in sys.modules, arguments
+print("statuses", *statuses)
+"""
+
+
+def test_help_version_and_path_errors_do_not_load_jax(tmp_path):
+    existing = write_single(tmp_path / "existing.exr", plain_frame())
+    out = str(tmp_path / "out.exr")
+    answered = [["--help"], ["--version"], ["blur", "--help"], ["scene", "--help"]]
+    refusals = [
+        ["blur", "missing.exr", "-o", out],
+        ["blur", str(CAR), "-o", str(tmp_path / "missing" / "out.exr")],
+        ["blur", str(CAR), "-o", str(existing)],
+        ["blur", str(CAR), "-o", out, "--truth", "missing.exr"],
+        ["blur", str(CAR), "-o", out, "--filter", "guertin"],
+        ["blur", str(CAR), "-o", out, "--preset", "blendr"],
+        ["blur", str(CAR), "-o", out, "--param", "kapa=1"],
+        ["info", "missing.exr"],
+        ["vectors", str(CAR), "--next", "missing.exr"],
+        ["scene", "gears", "-o", str(existing)],
+        ["demo", "-o", str(existing)],
+    ]
+    result = spawn(json.dumps(answered + refusals), code=NO_JAX)
+    assert result.returncode == 0, result.stderr
+    expected = ["0"] * len(answered) + ["2"] * len(refusals)
+    assert result.stdout.splitlines()[-1].split()[1:] == expected
+    assert not os.path.exists(out)
+
+
+def test_the_module_runs_and_gives_its_status():
+    assert spawn("--version").stdout == f"jaxblur {jaxblur.__version__}\n"
+    result = spawn("info", "missing.exr")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == "jaxblur: error: missing.exr: no such file.\n"
+
+
+def test_parameters_and_settings_in_the_help_are_those_of_the_filters():
+    from jaxblur.filters import FILTERS, PUBLISHED
+    from tests.helpers import fields
+
+    assert published.FILTERS.keys() == FILTERS.keys() == PUBLISHED.keys()
+    for name, (record, settings) in PUBLISHED.items():
+        known = published.FILTERS[name]
+        defaults = {key: parameter.default for key, parameter in known.parameters.items()}
+        assert defaults == ({} if record is None else fields(record))
+        assert (known.samples, known.radius) == (settings.samples, settings.radius)
+        assert all(p.allows(p.default) for p in known.parameters.values())
+
+
+def test_blur_help_lists_presets_and_marks_the_unverified(capsys):
+    from jaxblur.vectors import PRESETS
+
+    with pytest.raises(SystemExit) as done:
+        build_parser().parse_args(["blur", "--help"])
+    text = capsys.readouterr().out
+    assert done.value.code == 0
+    for preset in PRESETS.values():
+        (line,) = [row for row in text.splitlines() if row[4:].startswith(f"{preset.name} ")]
+        assert ("UNVERIFIED" in line) == (not preset.verified)
+        assert line.startswith("  * ") == preset.named
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "required: COMMAND"),
+        (["blurr"], "invalid choice: 'blurr'"),
+        (["blur", "a.exr"], "required: -o/--output"),
+        (["info", "a.exr", "-v", "-q"], "not allowed with"),
+        (["scene"], "--list"),
+        (["scene", "gears", "-o", "x", "--frames", "8-1"], "8-1 is empty"),
+        (["scene", "gears", "-o", "x", "--frames", "1-"], "expected frames"),
+        (["scene", "gears", "-o", "x", "--size", "0x4"], "WIDTHxHEIGHT"),
+        (["scene", "gears", "-o", "x", "--shutter", "0"], "--shutter must be above 0"),
+    ],
+)
+def test_usage_errors_are_one_line(given, message):
+    assert message in refused(*given)
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [("5", [5]), ("1-4", [1, 2, 3, 4]), ("1-8x3,2", [1, 4, 7, 2]), ("-2-0", [-2, -1, 0])],
+)
+def test_frame_numbers(text, frames):
+    from jaxblur.cli.scene import frame_numbers
+
+    assert frame_numbers(text) == frames
+
+
+def test_library_messages_are_put_in_the_words_of_the_command_line():
+    said = arguments.in_option_names(
+        "give `depth_from`, or depth='flat'; `blender` is a preset, pass extra='drop'.",
+        {"depth_from": None, "depth": "auto", "preset": "auto"},
+    )
+    assert said == "give --depth-from, or --depth=flat; `blender` is a preset, pass --drop-extra."
+
+
+def test_bugs_are_not_dressed_up_as_user_errors(monkeypatch, tmp_path):
+    def broken(*_):
+        raise TypeError("a bug")
+
+    monkeypatch.setattr(blur, "apply_filter", broken)
+    with pytest.raises(TypeError, match="a bug"):
+        run("blur", CAR, "-o", tmp_path / "out.exr")
+
+
+def test_interrupting_gives_130_and_leaves_nothing(monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(blur, "apply_filter", interrupted)
+    outcome = run("blur", CAR, "-o", tmp_path / "out.exr")
+    assert outcome.status == 130
+    assert outcome.err.splitlines()[-1] == "jaxblur: error: interrupted"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_control_c_ends_a_running_process(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "jaxblur", "blur", CAR, "-o", tmp_path / "out.exr"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    # The frame has been read when its depth is reported; loading jax follows.
+    for line in process.stderr:
+        if "depth:" in line:
+            break
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    rest = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert rest == "jaxblur: error: interrupted\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_closed_pipe_ends_quietly():
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.run(
+        [sys.executable, "-m", "jaxblur", "info", CAR],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        timeout=60,
+    )
+    os.close(write)
+    assert (process.returncode, process.stderr) == (141, b"")
+
+
+def test_verbose_shows_where_an_error_came_from_and_quiet_hides_remarks(tmp_path):
+    loud = run("info", tmp_path / "missing.exr", "-v")
+    assert loud.status == 2 and "Traceback" in loud.err
+    bad = run("blur", CAR, "-o", tmp_path / "out.exr", "--samples", "14", "--filter", "mcguire2012")
+    quiet = run(
+        "blur", CAR, "-o", tmp_path / "out.exr", "--samples", "14", "--filter", "mcguire2012", "-q"
+    )
+    assert "vectors: blender" in bad.err
+    assert quiet.err.splitlines() == bad.err.splitlines()[-1:]
+
+
+def test_names_from_files_cannot_steer_the_terminal(tmp_path):
+    channels = plain_frame() | {"evil\x1b[31m[bold]\u202e.R": plain_frame()["R"]}
+    path = write_single(tmp_path / "evil.exr", channels)
+    outcome = run("info", path)
+    assert outcome.status == 0
+    assert "evil\\x1b[31m[bold]\\u202e.R" in outcome.out
+    assert "\x1b" not in outcome.out and "\u202e" not in outcome.out
+
+
+def test_tables_on_a_terminal_show_brackets_as_they_are(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    console.print_table(("name", ">value"), [("[bold]x[/bold]", 1), ("a\x1b[2Jb", 22)])
+    text = capsys.readouterr().out
+    assert "[bold]x[/bold]" in text
+    assert "\x1b[2J" not in text and "a\\x1b[2Jb" in text
+
+
+def test_plain_tables_align_their_columns(capsys):
+    console.print_table(("name", ">value"), [("a", 1), ("bc", 22)])
+    assert capsys.readouterr().out == "name  value\na         1\nbc       22\n"
+
+
+def test_compiled_code_is_kept_between_runs_unless_asked_not_to(tmp_path):
+    frame = write_single(tmp_path / "frame.exr", plain_frame((16, 16)))
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    command = ["blur", frame, "--overwrite", "--filter", "pixel_velocity", "--samples", "3"]
+    command += ["-o", tmp_path / "out.exr"]
+    assert spawn(*command, "--no-compile-cache", env=environment).returncode == 0
+    assert not (tmp_path / "cache").exists()
+    assert spawn(*command, env=environment).returncode == 0
+    assert list((tmp_path / "cache" / "jaxblur").glob("*pixel_velocity*"))
+
+
+def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
+    frame = write_single(tmp_path / "frame.exr", plain_frame((16, 16)))
+    (tmp_path / "cache").write_text("in the way")
+    result = spawn(
+        *("blur", frame, "-o", tmp_path / "out.exr", "--filter", "pixel_velocity"),
+        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")},
+    )
+    assert result.returncode == 0, result.stderr
+    assert "jaxblur: warning: no compile cache" in result.stderr
+    assert (tmp_path / "out.exr").exists()

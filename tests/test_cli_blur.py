@@ -1,0 +1,287 @@
+"""``jaxblur blur`` on real and on damaged files."""
+
+import functools
+import re
+import tomllib
+
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import exr, srgb
+from tests.command_line import refused, run
+from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
+
+TRUTH = DATA / "sky_car_truth_0011.exr"
+FEW = ("--samples", "7", "--radius", "25")
+
+
+@functools.cache
+def expected(samples=7, radius=25):
+    """The car, blurred through the Python interface."""
+    settings = jaxblur.Settings(samples=samples, radius=radius)
+    frame = jaxblur.read_frame(CAR)
+    return np.asarray(jaxblur.guertin2014(frame, jaxblur.GuertinParameters(), settings=settings))
+
+
+def attributes(path):
+    """All metadata of the first part."""
+    return exr.inspect(path).parts[0].attributes
+
+
+def test_the_output_is_the_filtered_color_and_everything_else_is_untouched(tmp_path):
+    out = tmp_path / "out.exr"
+    outcome = run("blur", CAR, "-o", out, *FEW)
+    assert outcome.status == 0 and outcome.out == f"{out}\n"
+    # Color is stored as half, as in the input.
+    stored = exr.read_image(out)
+    np.testing.assert_array_equal(stored, expected().astype(np.float16).astype(np.float32))
+    parts = exr.inspect(CAR).parts
+    assert [part.name for part in exr.inspect(out).parts] == [part.name for part in parts]
+    for index in range(1, len(parts)):
+        np.testing.assert_array_equal(read_raw(out, index)[1], read_raw(CAR, index)[1])
+
+
+def test_it_says_on_stderr_what_was_decided_and_why(tmp_path):
+    err = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW).err
+    assert "jaxblur: vectors: blender: found ViewLayer.Vector.X" in err
+    assert "jaxblur: depth: ViewLayer.Depth.Z, read as z" in err
+
+
+def test_provenance_is_in_the_header(tmp_path):
+    out = tmp_path / "out.exr"
+    assert run("blur", CAR, "-o", out, *FEW, "--param", "kappa=30", "--shutter", ".25").status == 0
+    found = attributes(out)
+    assert found["jaxblur:version"] == jaxblur.__version__
+    assert found["jaxblur:filter"] == "guertin2014"
+    assert found["jaxblur:inputs"] == CAR.name
+    parameters = tomllib.loads(found["jaxblur:parameters"])
+    assert parameters == {
+        **{"kappa": 30, "gamma": 1.5, "tau": 1, "eta": 0.95, "phi": 27},
+        "depth_sharpness": 1,
+    }
+    settings = tomllib.loads(found["jaxblur:settings"])
+    assert {key: settings[key] for key in ("samples", "radius", "shutter", "preset")} == {
+        **{"samples": 7, "radius": 25, "shutter": 0.25},
+        "preset": "blender",
+    }
+    assert found["Time"] == attributes(CAR)["Time"], "metadata of the input is kept"
+
+
+def test_scores_against_the_truth(tmp_path):
+    outcome = run("blur", CUBE, "-o", tmp_path / "out.exr", "--truth", _truth_of(CUBE))
+    heading, sharp, blurred = (re.split(r"\s{2,}", row) for row in outcome.out.splitlines()[1:])
+    assert heading == ["against truth", "PSNR dB", "SSIM", "FLIP"]
+    # The figure for the sharp crop is that of the data's README.
+    assert sharp[:2] == ["input", "15.99"]
+    assert blurred[0] == "guertin2014"
+    assert float(blurred[1]) > 26 and float(blurred[2]) > float(sharp[2])
+    assert float(blurred[3]) < float(sharp[3])
+
+
+def _truth_of(frame):
+    return frame.with_name(frame.name.replace("frame", "truth"))
+
+
+@pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity"])
+def test_other_filters_use_their_published_settings(tmp_path, name):
+    from jaxblur.filters import FILTERS, PUBLISHED
+
+    out = tmp_path / "out.exr"
+    assert run("blur", CAR, "-o", out, "--filter", name).status == 0
+    parameters, settings = PUBLISHED[name]
+    image = FILTERS[name](jaxblur.read_frame(CAR), parameters, settings=settings)
+    stored = exr.read_image(out)
+    np.testing.assert_array_equal(stored, np.asarray(image).astype(np.float16).astype(np.float32))
+
+
+def test_parameters_reach_the_filter(tmp_path):
+    out = tmp_path / "out.exr"
+    given = ("--param", "kappa=2", "--param", "gamma=3", "--tile-choice", "own", "--noise", "none")
+    assert run("blur", CAR, "-o", out, *FEW, *given).status == 0
+    settings = jaxblur.Settings(samples=7, radius=25, tile_choice="own", noise="none")
+    parameters = jaxblur.GuertinParameters(kappa=2.0, gamma=3.0)
+    image = jaxblur.guertin2014(jaxblur.read_frame(CAR), parameters, settings=settings)
+    half = np.asarray(image).astype(np.float16).astype(np.float32)
+    np.testing.assert_array_equal(exr.read_image(out), half)
+
+
+def test_a_closed_shutter_gives_the_input_back(tmp_path):
+    out = tmp_path / "out.exr"
+    assert run("blur", CAR, "-o", out, *FEW, "--shutter", "0").status == 0
+    np.testing.assert_array_equal(exr.read_image(out), exr.read_image(CAR))
+
+
+def test_an_automatic_radius_fits_the_fastest_vector(tmp_path):
+    out = tmp_path / "out.exr"
+    outcome = run("blur", CAR, "-o", out, "--samples", "7", "--radius", "auto")
+    fastest = np.linalg.norm(exr.read_buffers(CAR).velocity, axis=-1).max()
+    radius = tomllib.loads(attributes(out)["jaxblur:settings"])["radius"]
+    assert fastest <= radius < fastest + 5
+    assert f"radius: {radius} px, for half-spreads up to {fastest:.1f} px" in outcome.err
+    stored = exr.read_image(out)
+    half = expected(radius=radius).astype(np.float16).astype(np.float32)
+    np.testing.assert_array_equal(stored, half)
+
+
+def test_vectors_longer_than_the_radius_are_a_warning(tmp_path):
+    err = run("blur", CAR, "-o", tmp_path / "out.exr", "--samples", "7", "--radius", "3").err
+    assert "jaxblur: warning: " in err and "--radius auto" in err
+
+
+def test_png_output_is_srgb(tmp_path):
+    out = tmp_path / "out.png"
+    outcome = run("blur", CAR, "-o", out, *FEW)
+    assert outcome.status == 0 and "8-bit sRGB" in outcome.err
+    pixels = read_raw(out)[1]
+    shown = srgb.encode(np.clip(expected()[..., :3], 0, 1)) * 255
+    assert isinstance(pixels, np.ndarray) and pixels.dtype == np.uint8
+    assert np.abs(pixels - shown).max() <= 0.501
+
+
+def test_png_beside_the_exr(tmp_path):
+    outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW, "--png")
+    assert outcome.out.split() == [str(tmp_path / "out.exr"), str(tmp_path / "out.png")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.exr", "out.png"]
+
+
+def test_extra_channels_are_dropped_on_request(tmp_path):
+    out = tmp_path / "out.exr"
+    assert run("blur", CAR, "-o", out, *FEW, "--drop-extra").status == 0
+    (part,) = exr.inspect(out).parts
+    assert [channel.name for channel in part.channels] == [
+        f"ViewLayer.Combined.{c}" for c in "RGBA"
+    ]
+
+
+def test_color_vectors_and_depth_from_three_files(tmp_path):
+    channels = plain_frame((24, 32))
+    whole = write_single(tmp_path / "whole.exr", channels)
+    groups = {"color": "RGB", "depth": ("Z",), "vectors": ("velocity.X", "velocity.Y")}
+    for name, members in groups.items():
+        write_single(tmp_path / f"{name}.exr", {member: channels[member] for member in members})
+    apart = ("--velocity-from", tmp_path / "vectors.exr", "--depth-from", tmp_path / "depth.exr")
+    assert run("blur", whole, "-o", tmp_path / "a.exr", *FEW).status == 0
+    assert run("blur", tmp_path / "color.exr", "-o", tmp_path / "b.exr", *FEW, *apart).status == 0
+    blurred = exr.read_image(tmp_path / "a.exr")
+    np.testing.assert_array_equal(blurred, exr.read_image(tmp_path / "b.exr"))
+    assert np.abs(blurred - exr.read_image(whole)).max() > 0.05
+    inputs = attributes(tmp_path / "b.exr")["jaxblur:inputs"]
+    assert inputs == "color.exr, vectors.exr, depth.exr"
+
+
+def test_an_existing_output_is_kept_unless_told_otherwise(tmp_path):
+    out = tmp_path / "out.exr"
+    out.write_bytes(b"precious")
+    assert "pass --overwrite" in refused("blur", CAR, "-o", out, *FEW)
+    assert out.read_bytes() == b"precious"
+    assert run("blur", CAR, "-o", out, *FEW, "--overwrite").status == 0
+    assert exr.inspect(out).parts[0].attributes["jaxblur:filter"] == "guertin2014"
+
+
+@pytest.mark.parametrize("option", ["input", "--truth", "--velocity-from"])
+def test_an_input_is_never_overwritten(tmp_path, option):
+    frame = write_single(tmp_path / "frame.exr", plain_frame())
+    other = write_single(tmp_path / "other.exr", plain_frame())
+    before = frame.read_bytes(), other.read_bytes()
+    if option == "input":
+        link = tmp_path / "link.exr"
+        link.symlink_to(frame)
+        message = refused("blur", frame, "-o", link, "--overwrite")
+    else:
+        message = refused("blur", frame, option, other, "-o", other, "--overwrite")
+    assert "is an input too" in message
+    assert (frame.read_bytes(), other.read_bytes()) == before
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("--filter", "guertin"), ("no filter 'guertin'", "did you mean guertin2014")),
+        (("--preset", "blendr"), ("no preset 'blendr'", "did you mean blender")),
+        (("--param", "kapa=1"), ("'kapa'", "did you mean kappa", "gamma")),
+        (("--param", "kappa=abc"), ("kappa must be a number", "'abc'")),
+        (("--param", "kappa"), ("NAME=VALUE",)),
+        (("--param", "kappa=0"), ("kappa must be above 0",)),
+        (("--param", "tau=1.5"), ("tau must be 0 to 1",)),
+        (("--param", "kappa=nan"), ("kappa must be above 0",)),
+        (("--filter", "pixel_velocity", "--param", "kappa=1"), ("it has none",)),
+        (("--filter", "mcguire2012", "--samples", "14"), ("--samples must be odd", "use 15")),
+        (("--samples", "0"), ("whole number from 1",)),
+        (("--radius", "big"), ("whole number from 1",)),
+        (("--border", "wrap"), ("'skip', 'clamp'",)),
+        (("--shutter", "-1"), ("--shutter must be", "-1")),
+        (("--shutter", "nan"), ("--shutter must be", "nan")),
+        (("--depth", "w"), ("--depth must be auto or one of", "'w'")),
+        (("--layer", "Nothing"), ("no layer 'Nothing'",)),
+        (("--depth-channel", "Y"), ("no channel called Y",)),
+        (
+            ("--preset", "arnold", "--velocity-channels", "ViewLayer.Vector.X,ViewLayer.Vector.Y"),
+            ("over the shutter", "--file-shutter"),
+        ),
+        (("--preset", "nuke"), ("no channels of preset `nuke`", "--velocity-channels")),
+        (("--truth", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
+        (("--velocity-from", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
+    ],
+    ids=lambda value: " ".join(map(str, value)) if str(value[0]).startswith("--") else "",
+)
+def test_wrong_arguments_are_refused_with_a_remedy(tmp_path, given, words):
+    message = refused("blur", CAR, "-o", tmp_path / "out.exr", *given)
+    for word in words:
+        assert word in message
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [("missing/out.exr", "create it first"), ("out.tif", ".exr and .png only"), (".", "only")],
+)
+def test_outputs_that_cannot_be_written(tmp_path, name, word):
+    assert word in refused("blur", CAR, "-o", tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nan_vectors_are_refused_by_name_or_zeroed_with_a_warning(tmp_path):
+    channels = plain_frame((12, 16))
+    channels["velocity.Y"][3, 5] = np.nan
+    frame, out = write_single(tmp_path / "nan.exr", channels), tmp_path / "out.exr"
+    message = refused("blur", frame, "-o", out)
+    assert "nan.exr: velocity.Y: 1 of 192 pixels are NaN" in message
+    assert "row 3, column 5" in message and "--non-finite=zero" in message
+    assert not out.exists()
+    outcome = run("blur", frame, "-o", out, "--non-finite", "zero")
+    assert outcome.status == 0 and "jaxblur: warning: " in outcome.err
+    assert np.isfinite(exr.read_image(out)).all()
+
+
+def test_truncated_files(tmp_path):
+    data = CAR.read_bytes()
+    for share in (0.001, 0.5, 0.95):
+        frame = tmp_path / "cut.exr"
+        frame.write_bytes(data[: int(share * len(data))])
+        assert "cut.exr" in refused("blur", frame, "-o", tmp_path / "out.exr")
+        assert [path.name for path in tmp_path.iterdir()] == ["cut.exr"]
+
+
+def test_a_file_without_depth_names_the_ways_out(tmp_path):
+    channels = plain_frame((12, 16))
+    del channels["Z"]
+    frame, out = write_single(tmp_path / "flat.exr", channels), tmp_path / "out.exr"
+    message = refused("blur", frame, "-o", out)
+    assert "--depth-from" in message and "--depth=flat" in message
+    assert run("blur", frame, "-o", out, *FEW, "--depth=flat").status == 0
+
+
+def test_a_truth_of_another_size_is_refused_before_the_work(tmp_path):
+    truth = write_single(tmp_path / "truth.exr", plain_frame((20, 30)))
+    message = refused("blur", CAR, "-o", tmp_path / "out.exr", "--truth", truth)
+    assert "30x20" in message and "160x112" in message
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_the_truth_may_be_a_png(tmp_path):
+    png = tmp_path / "truth.png"
+    exr.write_image(png, exr.read_image(TRUTH))
+    outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW, "--truth", png)
+    # Within the rounding to 8 bits of the figure in the data's README.
+    assert abs(float(outcome.out.splitlines()[2].split()[1]) - 22.15) < 0.05

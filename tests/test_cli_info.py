@@ -1,0 +1,136 @@
+"""``jaxblur info`` and ``jaxblur vectors``."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxblur import exr, vectors
+from tests.command_line import refused, run
+from tests.exr_files import CAR, CUBE, CUBE_NEXT, plain_frame, write_single
+
+
+def test_info_lists_parts_channels_and_motion():
+    outcome = run("info", CAR)
+    assert outcome.status == 0 and outcome.err == ""
+    rows = [line.split() for line in outcome.out.splitlines()]
+    assert ["0", "ViewLayer.Combined.A", "half"] in rows
+    assert ["1", "ViewLayer.Depth.Z", "float"] in rows
+    assert "160x112 at 0,0" in outcome.out and "zip" in outcome.out
+    assert "motion vectors: blender: found ViewLayer.Vector.X" in outcome.out
+
+
+def test_info_as_json_agrees_with_the_file():
+    listing = json.loads(run("info", CAR, "--json", "--radius", "5").out)
+    velocity = exr.read_buffers(CAR).velocity
+    speed = np.linalg.norm(velocity, axis=-1)
+    motion = listing["motion"]
+    assert motion["preset"] == "blender"
+    assert motion["speeds"]["percentiles"]["100.0"] == pytest.approx(float(speed.max()))
+    assert motion["speeds"]["percentiles"]["50.0"] == pytest.approx(float(np.median(speed)))
+    assert motion["speeds"]["zero_share"] == pytest.approx(float(np.mean(speed == 0)))
+    assert motion["speeds"]["beyond_share"] == pytest.approx(float(np.mean(speed > 5)))
+    assert listing["parts"][1]["channels"] == {"ViewLayer.Depth.Z": "float"}
+    assert listing["parts"][0]["attributes"]["Software"] == "Blender 5.0.1"
+
+
+def test_info_measures_at_the_given_shutter():
+    half, full = (
+        json.loads(run("info", CAR, "--json", "--shutter", shutter).out)["motion"]["speeds"]
+        for shutter in ("0.5", "1")
+    )
+    assert full["percentiles"]["99.0"] == pytest.approx(2 * half["percentiles"]["99.0"])
+
+
+def test_info_counts_damaged_vectors_instead_of_refusing_them(tmp_path):
+    channels = plain_frame((10, 10))
+    channels["velocity.X"][0, :5] = np.inf
+    path = write_single(tmp_path / "frame.exr", channels)
+    motion = json.loads(run("info", path, "--json").out)["motion"]
+    assert motion["speeds"]["non_finite_share"] == pytest.approx(0.05)
+
+
+def test_info_on_a_file_without_vectors_says_so(tmp_path):
+    path = write_single(tmp_path / "rgb.exr", {name: plain_frame()[name] for name in "RGB"})
+    outcome = run("info", path)
+    assert outcome.status == 0
+    assert "motion vectors: none" in outcome.out
+    assert "--preset" in outcome.out and "`preset`" not in outcome.out
+    assert json.loads(run("info", path, "--json").out)["motion"]["preset"] is None
+
+
+def test_info_on_vectors_without_color(tmp_path):
+    channels = {name: plain_frame()[name] for name in ("velocity.X", "velocity.Y")}
+    path = write_single(tmp_path / "vectors.exr", channels)
+    speeds = json.loads(run("info", path, "--json").out)["motion"]["speeds"]
+    longest = np.hypot(channels["velocity.X"], channels["velocity.Y"]).max() / 4
+    assert speeds["percentiles"]["100.0"] == pytest.approx(float(longest))
+
+
+def test_info_names_the_option_that_a_preset_needs(tmp_path):
+    channels = {name: plain_frame()[name] for name in "RGB"}
+    channels |= {f"motionvector.{axis}": plain_frame()["R"] for axis in "XY"}
+    path = write_single(tmp_path / "arnold.exr", channels)
+    outcome = run("info", path)
+    assert outcome.status == 0 and "this preset needs --file-shutter" in outcome.out
+    assert "suggested radius" in run("info", path, "--file-shutter", "0.5").out
+
+
+@pytest.mark.parametrize("given", [("--preset", "nuke"), ("--velocity-channels", "a,b")])
+def test_info_refuses_vectors_that_were_asked_for_and_are_not_there(given):
+    assert str(CAR) in refused("info", CAR, *given)
+
+
+def test_info_refuses_damaged_files(tmp_path):
+    path = tmp_path / "cut.exr"
+    path.write_bytes(CAR.read_bytes()[:40_000])
+    assert "cut.exr" in refused("info", path)
+    path.write_text("not an image")
+    assert "cut.exr" in refused("info", path)
+    assert "no such file" in refused("info", tmp_path / "none.exr")
+
+
+def test_vectors_finds_the_convention_of_a_rendered_pair():
+    outcome = run("vectors", CUBE, "--next", CUBE_NEXT)
+    assert outcome.status == 0
+    assert "best: forward = (-1 x, +1 y) in px over 1 frames" in outcome.out
+    assert outcome.out.rstrip().endswith("preset blender")
+
+
+def test_vectors_as_json_is_the_ranking():
+    names = list(exr.choose_vectors(exr.inspect(CUBE)).channels)
+    ranking = vectors.rank_conventions(
+        exr.read_image(CUBE), exr.read_image(CUBE_NEXT), exr.read_channels(CUBE, names), names
+    )
+    printed = json.loads(run("vectors", CUBE, "--next", CUBE_NEXT, "--json").out)
+    assert printed["still_error"] == pytest.approx(ranking.still_error)
+    assert len(printed["candidates"]) == len(ranking.candidates)
+    assert printed["candidates"][0]["channels"] == list(ranking.candidates[0].channels)
+
+
+def test_vectors_works_on_channels_of_any_name(tmp_path):
+    generator = np.random.default_rng(5)
+    wide = generator.random((40, 60)).astype(np.float32)
+    # The picture moves by 3 px to the right and 2 px down; stored y up under unknown names.
+    now, following = wide[6:36, 6:54], wide[4:34, 3:51]
+    motion = {"who.knows": np.full_like(now, 3), "what.this": np.full_like(now, -2)}
+    first = write_single(tmp_path / "1.exr", dict.fromkeys("RGB", now) | motion)
+    second = write_single(tmp_path / "2.exr", dict.fromkeys("RGB", following))
+    outcome = run("vectors", first, "--next", second, "--velocity-channels", "who.knows,what.this")
+    assert "best: forward = (+1 x, -1 y) in px over 1 frames" in outcome.out
+    assert "--velocity-channels" in refused("vectors", first, "--next", second)
+
+
+def test_vectors_says_when_frames_do_not_belong_together():
+    outcome = run("vectors", CAR, "--next", CUBE_NEXT)
+    assert outcome.status == 0 and "inconclusive" in outcome.out
+
+
+def test_vectors_refuses_pairs_that_do_not_fit(tmp_path):
+    small = write_single(tmp_path / "small.exr", plain_frame())
+    message = refused("vectors", CAR, "--next", small)
+    assert "small.exr" in message and "6x4" in message and "160x112" in message
+    assert "pairs" in refused("vectors", CAR, "--next", CAR, "--velocity-channels", "a,b,c")
+    still = plain_frame() | {f"velocity.{axis}": np.zeros((4, 6), np.float32) for axis in "XY"}
+    path = write_single(tmp_path / "still.exr", still)
+    assert "still.exr: nothing moves" in refused("vectors", path, "--next", path)

@@ -1,0 +1,102 @@
+"""``jaxblur scene`` and ``jaxblur demo``: frames with their truth."""
+
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import exr, scenes
+from jaxblur.cli import demo
+from tests.command_line import refused, run
+
+SIZE = (72, 128)
+SMALL = ("--size", "128x72")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two frames of the pan with truth and object numbers."""
+    folder = tmp_path_factory.mktemp("scene") / "new" / "folder"
+    outcome = run(
+        *("scene", "uniform_pan", "-o", folder, "--frames", "1-3x2", "--ids", *SMALL),
+        *("--truth", "--truth-samples", "16"),
+    )
+    assert outcome.status == 0, outcome.err
+    assert outcome.out.split() == [str(folder / f"uniform_pan.000{k}.exr") for k in (1, 3)]
+    lines = outcome.err.splitlines()
+    assert [line.split()[:4] for line in lines] == [
+        ["jaxblur:", "frame", str(k), "ok"] for k in (1, 3)
+    ]
+    return folder
+
+
+def test_scene_writes_frames_truth_and_ids_and_nothing_else(folder):
+    names = sorted(path.name for path in folder.iterdir())
+    kinds = ("", "_id", "_truth")
+    assert names == sorted(f"uniform_pan{kind}.000{k}.exr" for kind in kinds for k in (1, 3))
+
+
+def test_scene_frames_read_back_as_the_renderer_made_them(folder):
+    frame = jaxblur.read_frame(folder / "uniform_pan.0003.exr", shutter=0.5)
+    made = scenes.render(scenes.SCENES["uniform_pan"](), 3.0, 0.5, SIZE, path=True)
+    assert frame.path is not None and made.path is not None
+    np.testing.assert_allclose(frame.velocity, made.velocity, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(frame.path, made.path, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(frame.depth, made.depth, rtol=1e-6)
+    # Color is stored as half: 11 bits.
+    np.testing.assert_allclose(frame.color, made.color, rtol=2**-11)
+    truth = scenes.accumulate(scenes.SCENES["uniform_pan"](), 3.0, 0.5, 16, SIZE)
+    stored = exr.read_image(folder / "uniform_pan_truth.0003.exr")
+    np.testing.assert_allclose(stored, truth, rtol=2**-11)
+    ids = exr.read_channels(folder / "uniform_pan_id.0003.exr", ["id"])[..., 0]
+    np.testing.assert_array_equal(ids, scenes.object_ids(scenes.SCENES["uniform_pan"](), 3.0, SIZE))
+
+
+def test_blur_takes_scene_frames_and_comes_near_their_truth(folder, tmp_path):
+    outcome = run(
+        *("blur", folder / "uniform_pan.0001.exr", "-o", tmp_path / "out.exr"),
+        *("--truth", folder / "uniform_pan_truth.0001.exr", "--samples", "15", "--radius", "auto"),
+    )
+    assert "vectors: jaxblur: found velocity.previous.X" in outcome.err
+    sharp, blurred = (float(row.split()[1]) for row in outcome.out.splitlines()[2:])
+    assert blurred > sharp + 5
+
+
+def test_scene_keeps_existing_files(folder):
+    target = folder / "uniform_pan.0001.exr"
+    before = target.read_bytes()
+    message = refused("scene", "uniform_pan", "-o", folder, "--frames", "0-1", *SMALL)
+    assert "uniform_pan.0001.exr: exists; pass --overwrite" in message
+    assert target.read_bytes() == before
+    assert not (folder / "uniform_pan.0000.exr").exists(), "refused before any work"
+
+
+def test_unknown_scenes_are_refused_with_a_suggestion(tmp_path):
+    message = refused("scene", "gaers", "-o", tmp_path / "out")
+    assert "did you mean gears" in message and "uniform_pan" in message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_list_shows_every_scene_with_a_line_about_it():
+    outcome = run("scene", "--list")
+    assert outcome.status == 0
+    rows = dict(line.split(maxsplit=1) for line in outcome.out.splitlines()[1:])
+    assert list(rows) == list(scenes.SCENES)
+    assert all(len(text) > 10 for text in rows.values())
+
+
+def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):
+    monkeypatch.setattr(demo, "TRUTH_SAMPLES", 16)
+    folder = tmp_path / "demo"
+    given = ("demo", "-o", folder, "--scene", "uniform_pan", *SMALL)
+    outcome = run(*given)
+    assert outcome.status == 0, outcome.err
+    names = sorted(path.name for path in folder.iterdir())
+    kinds = ("blurred", "sharp", "truth")
+    assert names == sorted(f"{kind}.{end}" for kind in kinds for end in ("exr", "png"))
+    for name in names:
+        assert name in outcome.out
+    rows = [line.split() for line in outcome.out.splitlines()]
+    scores = {row[0]: float(row[1]) for row in rows if row[0] in ("sharp", "guertin2014")}
+    assert scores["guertin2014"] > scores["sharp"] + 5
+    assert exr.inspect(folder / "blurred.exr").parts[0].attributes["jaxblur:filter"]
+    assert "pass --overwrite" in refused(*given)
