@@ -93,6 +93,7 @@ def test_blur_help_lists_presets_and_marks_the_unverified(capsys):
         (["blurr"], "invalid choice: 'blurr'"),
         (["blur", "a.exr"], "required: -o/--output"),
         (["info", "a.exr", "-v", "-q"], "not allowed with"),
+        (["info", "\udcff.exr"], "argument file: \\udcff.exr is not a name in UTF-8"),
         (["scene"], "--list"),
         (["scene", "gears", "-o", "x", "--frames", "8-1"], "8-1 is empty"),
         (["scene", "gears", "-o", "x", "--frames", "1-"], "expected frames"),

@@ -159,6 +159,19 @@ def one_of(text: str, known: Sequence[str], what: str) -> str:
     )
 
 
+def file_path(text: str) -> pathlib.Path:
+    """Parse the name of a file or folder.
+
+    Raises:
+        ArgumentTypeError: its bytes are not text, and the image library takes text alone.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise argparse.ArgumentTypeError(f"{text} is not a name in UTF-8; rename it") from error
+    return pathlib.Path(text)
+
+
 def channel_names(text: str) -> list[str]:
     """Parse channel names separated by commas.
 

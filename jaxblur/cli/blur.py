@@ -22,6 +22,7 @@ from .arguments import (
     check_folder,
     check_outputs,
     describe_presets,
+    file_path,
     one_of,
     positive_integer,
 )
@@ -38,11 +39,11 @@ def add_parser(commands: Any) -> None:
     parser = add_command(commands, "blur", "Blur a frame along its motion vectors.", run)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = lambda: f"{published.describe_filters()}\n\n{describe_presets()}"
-    parser.add_argument("input", type=pathlib.Path, help="frame with color, depth and vectors")
+    parser.add_argument("input", type=file_path, help="frame with color, depth and vectors")
     parser.add_argument(
         "-o",
         "--output",
-        type=pathlib.Path,
+        type=file_path,
         required=True,
         metavar="OUT",
         help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
@@ -53,7 +54,7 @@ def add_parser(commands: Any) -> None:
         "--drop-extra", action="store_true", help="write the color alone, not the other channels"
     )
     parser.add_argument(
-        "--truth", type=pathlib.Path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
+        "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     add_compute_options(parser)
@@ -100,8 +101,8 @@ def _add_filter_options(parser: argparse.ArgumentParser) -> None:
 def _add_source_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("where color, vectors and depth are")
     group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
-    group.add_argument("--velocity-from", type=pathlib.Path, metavar="FILE")
-    group.add_argument("--depth-from", type=pathlib.Path, metavar="FILE")
+    group.add_argument("--velocity-from", type=file_path, metavar="FILE")
+    group.add_argument("--depth-from", type=file_path, metavar="FILE")
     group.add_argument("--depth-channel", metavar="NAME")
     group.add_argument(
         "--depth",

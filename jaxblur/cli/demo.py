@@ -8,7 +8,7 @@ import jaxblur
 from jaxblur.settings import Settings
 
 from . import published
-from .arguments import add_command, add_compute_options, check_folder, check_outputs
+from .arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
 from .blur import SCORE_COLUMNS, apply_filter, score_rows
 from .compute import start_jax
 from .console import print_line, print_table
@@ -26,7 +26,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "-o",
         "--output",
-        type=pathlib.Path,
+        type=file_path,
         default=pathlib.Path("jaxblur_demo"),
         metavar="DIR",
         help="folder to write to (default %(default)s)",

@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import json
-import pathlib
 from typing import Any
 
 from . import published
@@ -11,6 +10,7 @@ from .arguments import (
     add_command,
     add_vector_options,
     describe_presets,
+    file_path,
     in_option_names,
     positive_integer,
 )
@@ -22,7 +22,7 @@ def add_parser(commands: Any) -> None:
     parser = add_command(commands, "info", "List what a file holds and how fast it moves.", run)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_presets
-    parser.add_argument("file", type=pathlib.Path, help="image file")
+    parser.add_argument("file", type=file_path, help="image file")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument(
         "--radius",

@@ -17,6 +17,7 @@ from .arguments import (
     check_folder,
     check_outputs,
     did_you_mean,
+    file_path,
     positive_integer,
 )
 from .compute import start_jax
@@ -40,7 +41,7 @@ def add_parser(commands: Any) -> None:
     parser.epilog = FILE_LAYOUT
     parser.add_argument("name", nargs="?", help="scene; see --list")
     parser.add_argument("--list", action="store_true", help="list the scenes")
-    parser.add_argument("-o", "--output", type=pathlib.Path, metavar="DIR", help="folder")
+    parser.add_argument("-o", "--output", type=file_path, metavar="DIR", help="folder")
     parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     parser.add_argument(
         "--frames",

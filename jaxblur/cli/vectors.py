@@ -3,13 +3,13 @@
 import argparse
 import dataclasses
 import json
-import pathlib
 from typing import Any
 
 from .arguments import (
     CommandError,
     add_command,
     channel_names,
+    file_path,
     positive_integer,
 )
 from .console import print_line, print_table
@@ -26,9 +26,9 @@ def add_parser(commands: Any) -> None:
         "Rank sign, unit and span of motion vectors by warping the next frame back.",
         run,
     )
-    parser.add_argument("file", type=pathlib.Path, help="frame with motion vectors")
+    parser.add_argument("file", type=file_path, help="frame with motion vectors")
     parser.add_argument(
-        "--next", type=pathlib.Path, required=True, metavar="FILE", help="the following frame"
+        "--next", type=file_path, required=True, metavar="FILE", help="the following frame"
     )
     parser.add_argument(
         "--velocity-channels",
