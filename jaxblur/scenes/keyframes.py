@@ -53,12 +53,12 @@ def light_table(shutter_function: ShutterFunction) -> LightTable:
     return LightTable(jnp.float32(position - 0.5), jnp.float32(light / light[-1]))
 
 
-def position_at(table: LightTable, light: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def position_at(table: LightTable, light: Float[Array, "..."]) -> Float[Array, "..."]:
     """Find when a share of the light has passed, in shutter units from -1/2 to 1/2."""
     return jnp.interp(light, table.light, table.position)
 
 
-def light_at(table: LightTable, position: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def light_at(table: LightTable, position: Float[Array, "..."]) -> Float[Array, "..."]:
     """Find the share of the light that has passed at a position in the exposure."""
     return jnp.interp(position, table.position, table.light)
 
@@ -76,7 +76,9 @@ def _chord_errors(
     def error(pieces: int) -> Array:
         keys = points[:: FINE_TIMES // pieces]
         share = (jnp.arange(FINE_TIMES // pieces) * (pieces / FINE_TIMES))[:, None, None]
-        chord = (keys[:-1, None] + share * (keys[1:] - keys[:-1])[:, None]).reshape(-1, *keys[0].shape)
+        chord = (keys[:-1, None] + share * (keys[1:] - keys[:-1])[:, None]).reshape(
+            -1, *keys[0].shape
+        )
         true = project(points[:-1])
         seen = (jnp.abs(true[..., 0]) < width) & (jnp.abs(true[..., 1]) < height)
         seen &= points[:-1, :, 2] > NEAR

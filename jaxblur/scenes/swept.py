@@ -34,6 +34,7 @@ class Swept(NamedTuple):
         forward: (3, N) bool, whether the triangle runs along the edge in that order.
         depth: (2, 3, N) of the corners at start and end.
         outline: (2, 6, N) x and y in pixels of the corners at start and end.
+        bounds: (2, 2, N) smallest and largest x and y in pixels of what is before the near plane.
         crosses: (N,) bool, a corner is behind the near plane at start or end.
         drawn: (N,) bool: not degenerate, not always behind, not always a hidden back face.
         closed: (N,) bool, the back is never seen.
@@ -43,6 +44,7 @@ class Swept(NamedTuple):
     forward: jax.Array
     depth: jax.Array
     outline: jax.Array
+    bounds: jax.Array
     crosses: jax.Array
     drawn: jax.Array
     closed: jax.Array
@@ -106,19 +108,38 @@ def sweep(
     edges, forward = jnp.stack(edges, axis=1), jnp.stack(forward)
     depth = jnp.stack([jnp.stack([p[2] for p in start])] * 2)
     depth = depth.at[1].add(jnp.stack([m[2] for m in shift]))
-    ends = [*start, *(p + m for p, m in zip(start, shift, strict=True))]
-    outline = jnp.stack(
-        [
-            focal * jnp.stack([p[axis] / jnp.maximum(p[2], NEAR) for p in ends]) + size[1 - axis] / 2
-            for axis in (0, 1)
-        ]
-    )
+    ends = jnp.stack([*start, *(p + m for p, m in zip(start, shift, strict=True))], axis=1)
+    outline = _image_points(ends, focal, size)
     shut = jnp.tile(closed, pieces)
     hidden = shut & _always_faces_away(edges[:, 0], forward[0], start[0], shift[0])
     distinct = [triangles[:, i] != triangles[:, (i + 1) % 3] for i in range(3)]
     drawn = jnp.tile(distinct[0] & distinct[1] & distinct[2], pieces) & ~hidden
     drawn &= jnp.any(depth > NEAR, axis=(0, 1))
-    return Swept(edges, forward, depth, outline, jnp.any(depth <= NEAR, axis=(0, 1)), drawn, shut)
+    bounds = _clipped_bounds(ends, focal, size)
+    crosses = jnp.any(depth <= NEAR, axis=(0, 1))
+    return Swept(edges, forward, depth, outline, bounds, crosses, drawn, shut)
+
+
+def _image_points(points: Array, focal: Array, size: tuple[int, int]) -> Array:
+    """Project camera-space points (3, ...) to x and y in pixels (2, ...)."""
+    seen = focal * points[:2] / jnp.maximum(points[2], NEAR)
+    return seen + jnp.array([size[1] / 2, size[0] / 2]).reshape(2, *[1] * (points.ndim - 1))
+
+
+def _clipped_bounds(ends: Array, focal: Array, size: tuple[int, int]) -> Array:
+    """Box (2, 2, N) around the image of the hull of six points, cut off at the near plane."""
+    first, second = ends[:, PAIRS[0]], ends[:, PAIRS[1]]
+
+    def cut(point: Array, other: Array) -> Array:
+        fall = other[2] - point[2]
+        share = (NEAR - point[2]) / jnp.where(fall == 0, 1.0, fall)
+        return jnp.where(point[2] < NEAR, point + share * (other - point), point)
+
+    image = [_image_points(cut(*pair), focal, size) for pair in ((first, second), (second, first))]
+    image = jnp.stack(image, axis=1)
+    there = jnp.maximum(first[2], second[2]) > NEAR
+    low = jnp.min(jnp.where(there, image, jnp.inf), axis=(1, 2))
+    return jnp.stack([low, jnp.max(jnp.where(there, image, -jnp.inf), axis=(1, 2))])
 
 
 def _edge(low: Array, along: Array, low_shift: Array, along_shift: Array) -> Array:
@@ -160,7 +181,7 @@ def swept_rows(
     Returns:
         The rows.
     """
-    height, width = size
+    width = size[1]
     start, count = row_counts(swept, offset, reach, size)
     owner, number, real, needed = expand(count, capacity)
     row = start[owner] + number
@@ -169,10 +190,11 @@ def swept_rows(
         swept.outline[:, :, owner], middle - reach - MARGIN, middle + reach + MARGIN
     )
     crosses = swept.crosses[owner]
+    low, high = swept.bounds[:, 0, owner]
+    left, right = jnp.where(crosses, low, left), jnp.where(crosses, high, right)
     first = jnp.clip(jnp.ceil(left - 0.5 - offset[0] - reach - MARGIN), 0, width)
     end = jnp.clip(jnp.floor(right + 0.5 - offset[0] + reach + MARGIN), 0, width)
-    first = jnp.where(crosses, 0, first.astype(jnp.int32))
-    end = jnp.where(crosses, width, end.astype(jnp.int32))
+    first, end = first.astype(jnp.int32), end.astype(jnp.int32)
     ends = jnp.cumsum(jnp.where(real, jnp.maximum(end - first, 0), 0))
     return SweptRows(owner, row, first, ends, needed)
 
@@ -182,14 +204,12 @@ def row_counts(
 ) -> tuple[Int[Array, " swept"], Int[Array, " swept"]]:
     """Find the first image row and the number of rows of every moving triangle."""
     height, width = size
-    x, y = swept.outline
-    top = jnp.ceil(jnp.min(y, axis=0) - 0.5 - offset[1] - reach - MARGIN)
-    bottom = jnp.floor(jnp.max(y, axis=0) + 0.5 - offset[1] + reach + MARGIN)
+    (left, top), (right, bottom) = swept.bounds
+    top = jnp.ceil(top - 0.5 - offset[1] - reach - MARGIN)
+    bottom = jnp.floor(bottom + 0.5 - offset[1] + reach + MARGIN)
     first, last = (jnp.clip(edge, 0, height).astype(jnp.int32) for edge in (top, bottom))
-    beside = (jnp.max(x, axis=0) < -1) | (jnp.min(x, axis=0) > width + 1)
-    first = jnp.where(swept.crosses, 0, first)
-    last = jnp.where(swept.crosses, height, jnp.where(beside, first, last))
-    return first, jnp.where(swept.drawn, jnp.maximum(last - first, 0), 0)
+    apart = (right < -1) | (left > width + 1) | ~swept.drawn
+    return first, jnp.where(apart, 0, jnp.maximum(last - first, 0))
 
 
 def _hull_span(outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -226,7 +246,12 @@ def candidates(
     line = jnp.searchsorted(rows.ends, number, side="right")
     line = jnp.minimum(line, rows.ends.shape[0] - 1)
     before = jnp.where(line > 0, rows.ends[line - 1], 0)
-    return rows.owner[line], rows.row[line], rows.first[line] + number - before, number < rows.ends[-1]
+    return (
+        rows.owner[line],
+        rows.row[line],
+        rows.first[line] + number - before,
+        number < rows.ends[-1],
+    )
 
 
 def edge_polynomials(

@@ -1,0 +1,128 @@
+"""Occlusion between intervals: a walk from front to back with bit masks.
+
+Hong and Oh sort the intervals of a pixel by depth and time, cut two that intersect at the
+intersection into four, and let each take the bits that nothing before it has. Here the cut is
+made in the masks: of the bits that two intervals share, those on one side of the intersection
+go to one and the rest to the other. The bits are the same, the list does not grow, and there
+are no cyclic overlaps, which Newell's tests cannot order.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, UInt32
+
+from .intervals import UNUSED, WORD, Intervals, nearer_bits
+
+LANES = 512
+
+
+class Lists(NamedTuple):
+    """The runs of sorted intervals that belong to one cell each, shortest first.
+
+    Attributes:
+        head: (L,) where each run starts.
+        length: (L,) number of intervals in it, 0 for runs not in use.
+        unused: () number of runs not in use; they come first.
+    """
+
+    head: jax.Array
+    length: jax.Array
+    unused: jax.Array
+
+
+def lists(intervals: Intervals) -> Lists:
+    """Find the runs of one cell, ordered by length so that neighbors take equally long."""
+    cell = intervals.cell
+    capacity = cell.shape[0]
+    starts = jnp.concatenate([jnp.ones(1, bool), cell[1:] != cell[:-1]]) & (cell != UNUSED)
+    used = jnp.sum(cell != UNUSED)
+    head = jnp.nonzero(starts, size=capacity, fill_value=used)[0].astype(jnp.int32)
+    length = jnp.concatenate([head[1:], used[None].astype(jnp.int32)]) - head
+    length, head = jax.lax.sort((length, head), num_keys=1)
+    return Lists(head, length, capacity - jnp.sum(starts))
+
+
+def visible_bits(
+    intervals: Intervals, most: int, bits: int
+) -> tuple[UInt32[Array, "words n"], Int[Array, ""], Int[Array, ""]]:
+    """Give every bit of a cell to the interval that is nearest then.
+
+    Args:
+        intervals: sorted by cell and nearest depth.
+        most: static, intervals of a cell that are looked at.
+        bits: static, of a piece.
+
+    Returns:
+        (W, N) the bits at which each interval is seen; () the number of cells whose list was
+        longer than `most` and not known to be finished, which may be wrong; () the longest list.
+    """
+    runs = lists(intervals)
+    capacity = intervals.cell.shape[0]
+
+    def unfinished(state: tuple[Array, Array, Array]) -> Array:
+        return state[0] < capacity
+
+    def walk(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        first, seen, overflow = state
+        lane = first + jnp.arange(LANES, dtype=jnp.int32)
+        run = jnp.minimum(lane, capacity - 1)
+        head, length = runs.head[run], jnp.where(lane < capacity, runs.length[run], 0)
+        own, steps, missed = _walk_lanes(intervals, head, length, most, bits)
+
+        def write(k: Array, seen: Array) -> Array:
+            place = jnp.where(k < length, head + k, capacity)
+            return seen.at[:, place].set(own[k], mode="drop")
+
+        seen = jax.lax.fori_loop(0, steps, write, seen)
+        return first + LANES, seen, overflow + missed
+
+    start = runs.unused.astype(jnp.int32), jnp.zeros_like(intervals.mask), jnp.int32(0)
+    _, seen, overflow = jax.lax.while_loop(unfinished, walk, start)
+    return seen, overflow, runs.length[-1]
+
+
+def _walk_lanes(
+    intervals: Intervals, head: Array, length: Array, most: int, bits: int
+) -> tuple[Array, Array, Array]:
+    """Resolve one run per lane: bits seen (most, W, lanes), steps made, runs cut short."""
+    lanes = head.shape[0]
+    words = bits // WORD
+    limit = jnp.minimum(jnp.max(length), most)
+
+    def unfinished(state: tuple[Array, ...]) -> Array:
+        k, done = state[0], state[1]
+        return (k < limit) & jnp.any(~done)
+
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        k, done, taken, reach, own, lines = state
+        place = jnp.minimum(head + k, intervals.cell.shape[0] - 1)
+        here = ~done & (k < length)
+        mask = jnp.where(here, intervals.mask[:, place], jnp.uint32(0))
+        line = intervals.line[:, place]
+
+        def meet(j: Array, pair: tuple[Array, Array]) -> tuple[Array, Array]:
+            mask, own = pair
+            before = nearer_bits(line - lines[j], bits)
+            return mask & ~(own[j] & ~before), own.at[j].set(own[j] & ~(mask & before))
+
+        mask, own = jax.lax.fori_loop(0, k, meet, (mask, own))
+        own, lines = own.at[k].set(mask), lines.at[k].set(line)
+        taken = taken | mask
+        reach = jnp.where(here, jnp.maximum(reach, intervals.farthest[place]), reach)
+        # The mask is full, and what comes next lies behind all that has been seen.
+        following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
+        full = jnp.all(taken == jnp.uint32(0xFFFFFFFF), axis=0) & (following >= reach)
+        return k + 1, done | full | (k + 1 >= length), taken, reach, own, lines
+
+    start = (
+        jnp.int32(0),
+        length == 0,
+        jnp.zeros((words, lanes), jnp.uint32),
+        jnp.full(lanes, -jnp.inf),
+        jnp.zeros((most, words, lanes), jnp.uint32),
+        jnp.zeros((most, 2, lanes)),
+    )
+    steps, done, _, _, own, _ = jax.lax.while_loop(unfinished, step, start)
+    return own, steps, jnp.sum(~done)
