@@ -1,5 +1,7 @@
+from . import exr as exr
 from . import metrics as metrics
 from . import scenes as scenes
+from . import vectors as vectors
 from .exr import read_frame as read_frame
 from .exr import write_image as write_image
 from .filters import FILTERS as FILTERS

@@ -10,6 +10,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+def _scaled(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Components divided by the larger one, that scale, and where both are zero."""
+    largest = jax.lax.stop_gradient(jnp.maximum(jnp.abs(x), jnp.abs(y)))
+    is_zero = largest < jnp.finfo(x.dtype).tiny
+    scale = jnp.where(is_zero, 1, largest)
+    return jnp.where(is_zero, 1, x / scale), jnp.where(is_zero, 1, y / scale), scale, is_zero
+
+
 def safe_norm(x: Float[Array, "*shape"], y: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Euclidean norm of the vectors ``(x, y)``, ``sqrt(x^2 + y^2)``.
 
@@ -25,11 +33,7 @@ def safe_norm(x: Float[Array, "*shape"], y: Float[Array, "*shape"]) -> Float[Arr
     Returns:
         Norms in the same unit, >= 0.
     """
-    largest = jax.lax.stop_gradient(jnp.maximum(jnp.abs(x), jnp.abs(y)))
-    is_zero = largest < jnp.finfo(x.dtype).tiny
-    scale = jnp.where(is_zero, 1, largest)
-    unit_x = jnp.where(is_zero, 1, x / scale)
-    unit_y = jnp.where(is_zero, 1, y / scale)
+    unit_x, unit_y, scale, is_zero = _scaled(x, y)
     return jnp.where(is_zero, 0, scale * jnp.sqrt(unit_x * unit_x + unit_y * unit_y))
 
 
@@ -62,5 +66,6 @@ def safe_normalize(
     Returns:
         Components of unit vectors, or zeros.
     """
-    norm = safe_norm(x, y)
-    return safe_divide(x, norm), safe_divide(y, norm)
+    unit_x, unit_y, _, is_zero = _scaled(x, y)
+    norm = jnp.sqrt(unit_x * unit_x + unit_y * unit_y)
+    return jnp.where(is_zero, 0, unit_x / norm), jnp.where(is_zero, 0, unit_y / norm)

@@ -16,14 +16,14 @@ SHAPES = ((13, 17), (24, 32), (7, 41), (1, 9), (1, 1))
 """Ragged and whole tiles, rows, single pixels."""
 
 
-def random_frame(shape, seed=0, speed=9.0, channels=3, dtype=np.float32, sky=0.1):
-    """Random color, depth (with sky) and velocity; a fifth of the pixels are still."""
+def random_frame(shape, seed=0, speed=9.0, channels=3, dtype=np.float32, sky=0.1, still=0.2):
+    """Random color, depth (a share of it sky) and velocity (a share of it zero)."""
     generator = np.random.default_rng(seed)
     height, width = shape
     depth = generator.uniform(1, 10, shape)
     depth[generator.random(shape) < sky] = np.inf
     velocity = generator.normal(size=(height, width, 2)) * speed / 2
-    velocity[generator.random(shape) < 0.2] = 0
+    velocity[generator.random(shape) < still] = 0
     return jaxblur.Frame(
         color=jnp.asarray(generator.random((height, width, channels)), dtype),
         depth=jnp.asarray(depth, dtype),

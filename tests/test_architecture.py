@@ -24,8 +24,8 @@ MAY_IMPORT = {
     "exr": LOWEST | {"vectors"},
     "pictures": LOWEST | {"exr", "metrics"},
     "sequence": LOWEST | {"exr", "vectors"},
-    "fit": CORE | JUDGES,
-    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fit"}),
+    "fitting": CORE | JUDGES | FILES,
+    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting"}),
     "__main__": {"cli"},
 }
 

@@ -28,8 +28,16 @@ def test_normalize_gives_unit_vectors_and_zero_at_zero():
     np.testing.assert_array_equal(safe_normalize(jnp.float32(0), jnp.float32(0)), (0, 0))
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1e-20, 1.0, 1e30])
+def test_normalize_has_a_finite_gradient(size):
+    jacobian = jax.jacfwd(safe_normalize, argnums=(0, 1))(jnp.float32(size), jnp.float32(size))
+    assert all(jnp.isfinite(part) for part in jax.tree.leaves(jacobian))
+
+
 def test_divide_by_zero_gives_the_stated_value_and_no_gradient():
-    value, gradient = jax.value_and_grad(safe_divide, argnums=1)(jnp.float32(2), jnp.float32(0), 7.0)
+    value, gradient = jax.value_and_grad(safe_divide, argnums=1)(
+        jnp.float32(2), jnp.float32(0), 7.0
+    )
     assert (value, gradient) == (7, 0)
 
 

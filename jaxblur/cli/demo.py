@@ -8,7 +8,7 @@ import jaxblur
 from jaxblur.settings import Settings
 
 from . import published
-from .arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
+from .arguments import add_command, add_compute_options, check_folder, file_path
 from .blur import SCORE_COLUMNS, apply_filter, score_rows
 from .compute import start_jax
 from .console import print_line, print_table
@@ -29,9 +29,8 @@ def add_parser(commands: Any) -> None:
         type=file_path,
         default=pathlib.Path("jaxblur_demo"),
         metavar="DIR",
-        help="folder to write to (default %(default)s)",
+        help="folder to write to, replacing what an earlier demo wrote (default %(default)s)",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     parser.add_argument(
         "--scene", default="gears", metavar="NAME", help="see `jaxblur scene --list`"
     )
@@ -49,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
-    check_outputs([*images.values(), *pngs.values()], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
     import numpy as np
 

@@ -114,7 +114,9 @@ def _directions(velocity, speed, dominant, gamma):
     w_p the perpendicular of the dominant direction on the side of v [eq. 3.1, departure 2].
     """
     along_x, along_y = safe_normalize(*dominant)
-    side = jnp.where(along_x * velocity[1] < along_y * velocity[0], -1, 1)
+    # Compared before normalizing: where v is the dominant velocity the two products are equal to
+    # the bit, and the side does not hang on rounding.
+    side = jnp.where(dominant[0] * velocity[1] < dominant[1] * velocity[0], -1, 1)
     own_share = jnp.clip((speed - SPEED_FLOOR) / gamma, 0, 1)
     own_x, own_y = safe_normalize(*velocity)
     center_x = own_share * own_x - (1 - own_share) * side * along_y

@@ -158,7 +158,7 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
     speed = math.hypot(*own)
     along = vmax / reach
     across = np.array([-along[1], along[0]])
-    if across @ own < 0:
+    if vmax[0] * own[1] < vmax[1] * own[0]:  # across @ own < 0, exact where own is vmax
         across = -across
     a = min(max((speed - 0.5) / parameters["gamma"], 0), 1)
     center = (1 - a) * across + (a * own / speed if a > 0 else 0)

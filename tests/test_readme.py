@@ -1,0 +1,42 @@
+"""What the README says works as it says."""
+
+import re
+import shlex
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxblur
+from jaxblur import metrics
+from jaxblur.cli.main import build_parser
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_ten_lines_run_and_blur(tmp_path, monkeypatch):
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(re.search(r"```python\n(.*?)```", README, re.DOTALL)[1], names)
+    data = ROOT / "tests" / "data"
+    truth = jaxblur.exr.read_image(data / "cube_over_crates_truth_0011.exr")[..., :3]
+    written = jaxblur.exr.read_image(tmp_path / "blurred.exr")[..., :3]
+    sharp = np.asarray(names["frame"].color)[..., :3]
+    assert metrics.compare(written, truth).psnr > metrics.compare(sharp, truth).psnr + 5
+    gradient = jax.grad(names["loss"])(names["parameters"])
+    assert all(np.isfinite(value) for value in jax.tree.leaves(gradient))
+
+
+def test_the_commands_parse():
+    lines = [line for line in README.splitlines() if line.startswith("jaxblur ")]
+    assert len(lines) >= 5
+    for line in lines:
+        arguments = shlex.split(line, comments=True)[1:]
+        assert build_parser().parse_args(arguments).command == arguments[0]
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
