@@ -50,7 +50,7 @@ def test_the_catalogue_is_complete():
 @pytest.mark.parametrize("name", NAMES)
 def test_docstring_names_what_it_answers(name):
     figure = r"Answers [A-Z][\w ]+ \d{4}, (figure|section|table) \d"
-    assert bool(re.search(figure, SCENES[name].__doc__)) == (name not in WITHOUT_FIGURE)
+    assert bool(re.search(figure, SCENES[name].__doc__ or "")) == (name not in WITHOUT_FIGURE)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -58,7 +58,7 @@ def test_scene_renders_and_moves(name):
     frame, velocity = frame_of(name)
     assert np.all(np.isfinite(frame.color))
     assert np.all(np.asarray(frame.depth) > 0)
-    assert np.all(np.isfinite(frame.path))
+    assert np.all(np.isfinite(np.asarray(frame.path)))
     # Something to look at: contrast, and no picture that is mostly black or white.
     assert np.asarray(frame.color).std() > 0.05
     assert 0.08 < np.asarray(frame.color).mean() < 0.9
@@ -121,7 +121,7 @@ def test_camera_turn_is_level_and_moves_the_sky():
 
 def test_tracked_car_is_sharp_before_a_blurred_street():
     _, velocity = frame_of("tracked_car")
-    assert not np.any(velocity[seen("tracked_car", "car")])
+    assert np.abs(velocity[seen("tracked_car", "car")]).max() < 0.01
     assert np.abs(velocity[seen("tracked_car", "wall")][:, 0]).min() > 10
     wheel = velocity[seen("tracked_car", "car wheel 0")]
     assert np.linalg.norm(wheel, axis=-1).max() > 5
@@ -166,13 +166,14 @@ def test_gears_mesh_at_their_pitch_circles():
 def test_rolling_sphere_has_the_speeds_of_the_study(speed):
     degrees = {"slow": 5, "medium": 10, "fast": 15}[speed]
     a_scene = SCENES["rolling_sphere"]("flat", speed)
-    velocity = np.asarray(render(a_scene, shutter=1.0, size=(90, 160), subpixels=1).velocity)
-    ball = np.asarray(object_ids(a_scene, 0.0, (90, 160))) == 0
-    # A rolling sphere's points move at 0 to 2 times its speed; the picture is 14.4 degrees wide.
-    per_frame = 2 * velocity[ball][:, 0].mean()
-    assert per_frame == pytest.approx(degrees / 14.4 / 30 * 160, rel=0.1)
-    contact = ball.sum(1).nonzero()[0].max()
-    assert np.abs(velocity[contact][ball[contact]][:, 0]).max() < 0.35 * per_frame
+    size = (90, 160)
+    first, later = (np.asarray(object_ids(a_scene, time, size)) == 0 for time in (0.0, 4.0))
+    per_frame = (first.nonzero()[1].mean() - later.nonzero()[1].mean()) / -4
+    # The picture of the study was 14.4 degrees wide and ran at 30 frames per second.
+    assert per_frame == pytest.approx(degrees / 14.4 / 30 * 160, rel=0.03)
+    velocity = np.asarray(render(a_scene, shutter=1.0, size=size, subpixels=1).velocity)
+    contact = first.sum(1).nonzero()[0].max()
+    assert np.abs(velocity[contact][first[contact]][:, 0]).max() < 0.35 * per_frame / 2
 
 
 def test_random_cubes_are_seeded_and_move_straight():

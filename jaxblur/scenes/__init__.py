@@ -1,7 +1,7 @@
 """Ground truth: scenes with exact buffers, and the true motion-blurred image.
 
-This part imports nothing from the package but `jaxblur.frame`: it shares no code with the filters
-that are judged by it.
+This part imports nothing from the package but the frame and the sRGB curve: it shares no code with
+the filters that are judged by it.
 """
 
 from .accumulation import accumulate as accumulate

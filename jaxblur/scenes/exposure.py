@@ -13,7 +13,7 @@ from .scene import Scene, World, pose_at
 from .shading import shade, surface_at
 
 SAMPLE_BLOCK = 1024
-PROBE_ROWS = 8192
+PROBE_ROWS = 0
 
 
 class Exposure(NamedTuple):

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .. import srgb
+
 Color = Sequence[float] | np.ndarray | str
 
 NOISE_SIZE = 256
@@ -72,8 +74,7 @@ def linear_color(color: Color) -> np.ndarray:
     if len(color) != 7 or color[0] != "#":
         raise ValueError(f"`color` must look like '#rrggbb', got {color!r}.")
     encoded = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)]) / 255
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
+    return srgb.decode(encoded).astype(np.float32)
 
 
 def flat(color: Color, *, glow: float = 0.0) -> Material:

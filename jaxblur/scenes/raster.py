@@ -328,7 +328,7 @@ def rays(
 
 def enough(rows: int, fragments: int) -> Capacity:
     """Round counts up, with a margin, to a capacity that similar scenes share."""
-    return Capacity(_rounded(rows, 8192), _rounded(fragments, 16384))
+    return Capacity(_rounded(rows, 16384), _rounded(fragments, 32768))
 
 
 def _rounded(count: int, smallest: int) -> int:

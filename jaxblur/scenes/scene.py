@@ -18,7 +18,7 @@ from .mesh import Mesh
 from .motion import Camera, Motion, Vector, rigid
 
 NEAR = 0.05
-FEWEST_OWNERS = 64
+FEWEST_OWNERS = 128
 FEWEST_ROWS = 4096
 
 
@@ -239,9 +239,12 @@ def make_scene(name: str, bodies: Sequence[Body], camera: Camera, light: Light) 
         "normals": [body.mesh.normals for body in bodies],
         "texture": [body.mesh.texture for body in bodies],
     }
+    arrays = {key: np.concatenate(column) for key, column in columns.items()}
+    # One length for points and triangles, so that fewer combinations are compiled.
+    length = _bucket(max(map(len, arrays.values())), FEWEST_ROWS)
     motions = [body.motion for body in bodies]
     world = World(
-        **{key: _padded(np.concatenate(column)) for key, column in columns.items()},
+        **{key: _padded(array, length) for key, array in arrays.items()},
         motions=motion.stack(
             motions + motions[:1] * (_bucket(len(motions), FEWEST_OWNERS) - len(motions))
         ),
@@ -292,9 +295,9 @@ def _bucket(count: int, smallest: int) -> int:
     return size
 
 
-def _padded(values: np.ndarray) -> Array:
+def _padded(values: np.ndarray, length: int) -> Array:
     kind = {"f": jnp.float32, "i": jnp.int32, "b": jnp.bool_}[values.dtype.kind]
-    extra = _bucket(len(values), FEWEST_ROWS) - len(values)
+    extra = length - len(values)
     return jnp.asarray(np.pad(values, [(0, extra)] + [(0, 0)] * (values.ndim - 1)), kind)
 
 
