@@ -1,0 +1,116 @@
+"""Errors of a filter on image pairs, in the settings of the run and with its own noise."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .. import metrics
+from ..filters import FILTERS
+from ..settings import Settings
+from .objective import draw_noise
+from .pairs import Pair
+from .result import Score
+
+
+def images(
+    filter_name: str, parameters: Any, pair: Pair, settings: Settings, key: jax.Array, draws: int
+) -> Iterator[jax.Array]:
+    """Run the filter on a frame with several draws of noise.
+
+    Args:
+        filter_name: a key of `jaxblur.FILTERS`.
+        parameters: of the filter.
+        pair: gives the frame.
+        settings: of the run, taken as they are.
+        key: for the noise.
+        draws: number of images; one is given where the settings ask for no noise.
+
+    Yields:
+        (H, W, C) linear light.
+    """
+    size = pair.truth.shape[0], pair.truth.shape[1]
+    noises: list[Any] = [draw_noise(draw, size) for draw in jax.random.split(key, draws)]
+    if settings.noise == "none":
+        noises = [None]
+    for noise in noises:
+        yield FILTERS[filter_name](pair.frame, parameters, settings=settings, noise=noise)
+
+
+def evaluate(
+    filter_name: str,
+    parameters: Any,
+    pairs: Sequence[Pair],
+    settings: Settings,
+    key: jax.Array,
+    draws: int,
+    labels: tuple[str, str],
+) -> list[Score]:
+    """Score a filter, averaged over draws of noise.
+
+    Args:
+        filter_name: a key of `jaxblur.FILTERS`.
+        parameters: of the filter.
+        pairs: frames with truth.
+        settings: of the run, taken as they are: a stochastic choice of tile is drawn.
+        key: for the noise, which is the same for all parameters that are compared.
+        draws: number of images for each pair.
+        labels: part and parameters, as in `Score`.
+
+    Returns:
+        For each pair the whole image and, if anything moves, the pixels that motion reaches.
+    """
+    scores = []
+    for index, pair in enumerate(pairs):
+        pair_key = jax.random.fold_in(key, index)
+        outputs = list(images(filter_name, parameters, pair, settings, pair_key, draws))
+        moving = metrics.motion_footprint(pair.frame)
+        regions = {"whole": np.ones_like(moving), "moving": moving}
+        for region, mask in regions.items():
+            if mask.any():
+                scores.append(_score(outputs, pair, mask, (pair.name, *labels, region)))
+    return scores
+
+
+def _score(
+    outputs: Sequence[jax.Array], pair: Pair, mask: np.ndarray, labels: tuple[str, str, str, str]
+) -> Score:
+    figures = []
+    for output in outputs:
+        image, truth = metrics.rgb(output), metrics.rgb(pair.truth)
+        linear = metrics.mse(image, truth, mask), metrics.relative_mse(image, truth, mask)
+        figures.append((*map(float, linear), *metrics.compare(output, pair.truth, mask)))
+    return Score(*labels, *np.mean(figures, axis=0).tolist())
+
+
+def display_error(
+    filter_name: str,
+    parameters: Any,
+    pairs: Sequence[Pair],
+    settings: Settings,
+    key: jax.Array,
+    draws: int,
+) -> float:
+    """Mean squared error after the display transform, over pairs and draws of noise.
+
+    Args:
+        filter_name: as `evaluate`.
+        parameters: as `evaluate`.
+        pairs: as `evaluate`.
+        settings: as `evaluate`.
+        key: as `evaluate`.
+        draws: as `evaluate`.
+
+    Returns:
+        The error; ``-10 log10`` of it is a PSNR in dB.
+    """
+    errors = [
+        metrics.mse(metrics.display(output), metrics.display(pair.truth))
+        for index, pair in enumerate(pairs)
+        for output in images(
+            filter_name, parameters, pair, settings, jax.random.fold_in(key, index), draws
+        )
+    ]
+    return float(jnp.mean(jnp.stack(errors)))

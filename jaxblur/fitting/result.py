@@ -1,0 +1,303 @@
+"""The result of a fit, as a record and as a TOML file. Loads no jax.
+
+The file holds all that must be known to use, judge and repeat the fit. It has a schema number;
+unknown keys, missing keys and values of another type are errors.
+"""
+
+import dataclasses
+import json
+import math
+import os
+import tomllib
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+SCHEMA = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """Errors of one image pair under one set of parameters, averaged over draws of noise.
+
+    Attributes:
+        pair: name of the pair.
+        part: ``train`` or ``held-out``.
+        parameters: ``published`` or ``fitted``.
+        region: ``whole`` image, or ``moving`` for the pixels that motion reaches.
+        mse: mean squared error in linear light.
+        relative_mse: see `jaxblur.metrics.relative_mse`.
+        psnr: dB after the display transform.
+        ssim: after the display transform.
+        flip: after the display transform.
+    """
+
+    pair: str
+    part: str
+    parameters: str
+    region: str
+    mse: float
+    relative_mse: float
+    psnr: float
+    ssim: float
+    flip: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivity:
+    """How well the frames determine the fitted parameters; see `jaxblur.fitting.sensitivity`.
+
+    Attributes:
+        names: of the free parameters, the order of all that follows.
+        standard_error: in the units of the parameters; infinite where nothing determines one,
+            NaN where the frames have too few blocks to tell.
+        relative_error: the same as a share of the fitted value.
+        correlation: of the errors, names x names.
+        curvature: second derivatives of the loss in the unconstrained parameters, names x names.
+        flags: warnings in words, empty if all is well.
+        blocks: number of blocks of pixels that the errors are estimated from.
+    """
+
+    names: tuple[str, ...]
+    standard_error: tuple[float, ...]
+    relative_error: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    curvature: tuple[tuple[float, ...], ...]
+    flags: tuple[str, ...]
+    blocks: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Data:
+    """One image pair that took part.
+
+    Attributes:
+        name: of the pair.
+        part: ``train`` or ``held-out``.
+        sha256: of frame and truth as the fit saw them.
+    """
+
+    name: str
+    part: str
+    sha256: str
+
+
+@dataclasses.dataclass(frozen=True)
+class FitResult:
+    """What a fit found, how well it holds, and how it was done.
+
+    Attributes:
+        filter: a key of `jaxblur.FILTERS`.
+        parameters: all parameters of the filter, the fitted ones among them.
+        initial: where the fit started.
+        published: the published parameters.
+        free: names of the fitted parameters.
+        minimized: the objective in one sentence.
+        objective: its choices: loss, pixel, mask, noise, noise_draws, seed.
+        settings: of the filter run, as in `jaxblur.Settings`.
+        notes: what the caller adds, such as how the frames were read.
+        steps: number of steps done.
+        interrupted: ctrl-C ended the fit; it has no scores and no sensitivity.
+        loss: before each step.
+        scores: published against fitted, on the training and the held-out pairs.
+        sensitivity: None if interrupted.
+        data: the pairs.
+        versions: of the software.
+    """
+
+    filter: str
+    parameters: dict[str, float]
+    initial: dict[str, float]
+    published: dict[str, float]
+    free: tuple[str, ...]
+    minimized: str
+    objective: dict[str, str | int]
+    settings: dict[str, str | int]
+    notes: dict[str, str | int | float]
+    steps: int
+    interrupted: bool
+    loss: tuple[float, ...]
+    scores: tuple[Score, ...]
+    sensitivity: Sensitivity | None
+    data: tuple[Data, ...]
+    versions: dict[str, str]
+
+    @property
+    def filter_parameters(self) -> Any:
+        """The parameters as the filter takes them."""
+        from ..filters import PUBLISHED
+
+        return dataclasses.replace(PUBLISHED[self.filter][0], **self.parameters)
+
+    @property
+    def filter_settings(self) -> Any:
+        """The settings of the run that was fitted, as a `jaxblur.Settings`."""
+        from ..settings import Settings
+
+        return Settings(**typing.cast(dict[str, Any], self.settings))
+
+    def mean_score(self, figure: str, part: str, parameters: str, region: str = "whole") -> float:
+        """Mean of one figure over the pairs.
+
+        Args:
+            figure: a field of `Score`, such as ``psnr``.
+            part: ``train`` or ``held-out``.
+            parameters: ``published`` or ``fitted``.
+            region: ``whole`` or ``moving``.
+
+        Returns:
+            The mean; NaN if there is no such pair.
+        """
+        wanted = (part, parameters, region)
+        found = [
+            getattr(score, figure)
+            for score in self.scores
+            if (score.part, score.parameters, score.region) == wanted
+        ]
+        return math.fsum(found) / len(found) if found else math.nan
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result as TOML, whole or not at all.
+
+        Args:
+            path: file to write; an older one is replaced.
+
+        Raises:
+            JaxblurIOError: it cannot be written.
+        """
+        from ..exr.atomic import replacing
+
+        with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
+            file.write(to_toml({"schema": SCHEMA} | dataclasses.asdict(self)))
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> "FitResult":
+        """Read a result that `save` wrote.
+
+        Args:
+            path: TOML file.
+
+        Returns:
+            The result.
+
+        Raises:
+            ValueError: the file is no TOML, of another schema, or has unknown or missing keys or
+                values of another type; the message names file and key.
+            OSError: the file cannot be read.
+        """
+        with open(path, "rb") as file:
+            try:
+                content = tomllib.load(file)
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+                raise ValueError(f"{path}: is no TOML: {error}.") from error
+        schema = content.pop("schema", None)
+        if schema != SCHEMA:
+            raise ValueError(
+                f"{path}: `schema` must be {SCHEMA}, got {schema}; fit again, or use the version "
+                "of jaxblur that wrote it."
+            )
+        try:
+            return _decode(FitResult, content, "")
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """Write a nested mapping as TOML; entries that are None are left out.
+
+    Args:
+        table: values, mappings, and sequences of mappings.
+
+    Returns:
+        Text that `tomllib` reads back.
+    """
+    return "\n".join(_lines(table, "")) + "\n"
+
+
+def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
+    table = {key: value for key, value in table.items() if value is not None}
+    nested = {key for key, value in table.items() if _is_table(value) or _is_table_array(value)}
+    lines = [f"{_key(key)} = {_value(v)}" for key, v in table.items() if key not in nested]
+    for key in table:
+        if key not in nested:
+            continue
+        name, value = prefix + _key(key), table[key]
+        single = _is_table(value)
+        for entry in [value] if single else value:
+            lines += ["", f"[{name}]" if single else f"[[{name}]]", *_lines(entry, f"{name}.")]
+    return lines
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_table_array(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(map(_is_table, value))
+
+
+def _key(name: str) -> str:
+    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if plain else _value(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON escapes are those of TOML, but for DEL, which TOML wants escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Sequence):
+        return f"[{', '.join(map(_value, value))}]"
+    return repr(value)
+
+
+def _decode(kind: Any, value: Any, where: str) -> Any:
+    """Turn parsed TOML into the annotated type, strictly."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        return _decode_union(arguments, value, where)
+    if dataclasses.is_dataclass(kind):
+        return _decode_record(kind, value, where)
+    if origin is tuple:
+        entries = _expect(list, value, where)
+        return tuple(_decode(arguments[0], v, f"{where}[{k}]") for k, v in enumerate(entries))
+    if origin is dict:
+        entries = _expect(dict, value, where)
+        return {k: _decode(arguments[1], v, f"{where}.{k}") for k, v in entries.items()}
+    if kind is float and type(value) is int:
+        return float(value)
+    return _expect(kind, value, where)
+
+
+def _decode_union(kinds: Sequence[Any], value: Any, where: str) -> Any:
+    for kind in kinds:
+        if kind is not types.NoneType and (dataclasses.is_dataclass(kind) or type(value) is kind):
+            return _decode(kind, value, where)
+    names = " or ".join(kind.__name__ for kind in kinds)
+    raise ValueError(f"`{where}` must be {names}, got {value!r}.")
+
+
+def _decode_record(kind: Any, value: Any, where: str) -> Any:
+    table = _expect(dict, value, where)
+    prefix = f"{where}." if where else ""
+    hints = typing.get_type_hints(kind)
+    # Empty sequences of tables and None have no place in TOML.
+    absent = {
+        name: None if types.NoneType in typing.get_args(hint) else ()
+        for name, hint in hints.items()
+        if types.NoneType in typing.get_args(hint) or name == "scores"
+    }
+    for name in table.keys() - hints.keys():
+        raise ValueError(f"unknown key `{prefix}{name}`; remove it.")
+    for name in hints.keys() - table.keys() - absent.keys():
+        raise ValueError(f"missing key `{prefix}{name}`; fit again.")
+    decoded = {name: _decode(hints[name], v, f"{prefix}{name}") for name, v in table.items()}
+    return kind(**absent | decoded)
+
+
+def _expect(kind: Any, value: Any, where: str) -> Any:
+    if type(value) is not kind:
+        raise ValueError(f"`{where}` must be {kind.__name__}, got {value!r}.")
+    return value
