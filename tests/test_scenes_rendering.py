@@ -158,6 +158,7 @@ def test_turning_wall_has_the_path_of_a_rotation():
     frame = render(a_scene, shutter=0.5, size=SIZE, path=True)
     focal = focal_pixels(a_scene)
     place = focal * pixel_rays(a_scene)[..., :2]
+    assert frame.path is not None
     for end, angle in ((0, -0.1), (1, 0.1)):
         # Counter-clockwise in the world is clockwise in coordinates with y down.
         c, s = np.cos(angle), np.sin(angle)

@@ -332,4 +332,5 @@ def enough(rows: int, fragments: int) -> Capacity:
 
 
 def _rounded(count: int, smallest: int) -> int:
-    return smallest * 2 ** int(np.ceil(np.log2(max(1.05 * count / smallest, 1.0))))
+    half_octaves = int(np.ceil(2 * np.log2(max(1.05 * count / smallest, 1.0))))
+    return int(np.ceil(smallest * 2 ** (half_octaves / 2)))
