@@ -1,4 +1,5 @@
 from . import exr as exr
+from . import fitting as fitting
 from . import metrics as metrics
 from . import scenes as scenes
 from . import vectors as vectors
@@ -10,6 +11,8 @@ from .filters import McGuireParameters as McGuireParameters
 from .filters import guertin2014 as guertin2014
 from .filters import mcguire2012 as mcguire2012
 from .filters import pixel_velocity as pixel_velocity
+from .fitting import FitResult as FitResult
+from .fitting import fit as fit
 from .frame import Frame as Frame
 from .noise import Noise as Noise
 from .settings import Settings as Settings

@@ -58,19 +58,32 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     add_compute_options(parser)
-    _add_filter_options(parser)
+    group = add_filter_options(parser)
+    group.add_argument(
+        "--parameters",
+        type=pathlib.Path,
+        metavar="FILE",
+        help="filter, parameters and settings as `jaxblur fit` wrote them; options override",
+    )
     add_vector_options(parser)
     _add_source_options(parser)
 
 
-def _add_filter_options(parser: argparse.ArgumentParser) -> None:
+def add_filter_options(parser: argparse.ArgumentParser) -> Any:
+    """Add the options that say which filter runs, and how; `complete` reads them.
+
+    Args:
+        parser: of a command.
+
+    Returns:
+        The group of these options.
+    """
     group = parser.add_argument_group("filter")
     group.add_argument(
         "--filter",
         type=_filter_name,
-        default=published.DEFAULT_FILTER,
         metavar="NAME",
-        help="default %(default)s; see below",
+        help=f"default {published.DEFAULT_FILTER}; see below",
     )
     group.add_argument(
         "--samples", type=positive_integer, metavar="N", help="taps per pixel (as published)"
@@ -93,9 +106,9 @@ def _add_filter_options(parser: argparse.ArgumentParser) -> None:
         group.add_argument(
             f"--{name.replace('_', '-')}",
             choices=options,
-            default=getattr(Settings(), name),
-            help="default %(default)s",
+            help=f"default {getattr(Settings(), name)}",
         )
+    return group
 
 
 def _add_source_options(parser: argparse.ArgumentParser) -> None:
@@ -122,8 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Blur one frame; see `add_parser`."""
     from jaxblur import exr
 
-    settings = _settings(arguments)
-    parameters = published.checked_parameters(arguments.filter, dict(arguments.param))
+    name, parameters, settings = complete(arguments, _fitted(arguments.parameters))
     outputs = _outputs(arguments)
     for source in _sources(arguments):
         exr.inspect(source)
@@ -137,11 +149,11 @@ def run(arguments: argparse.Namespace) -> int:
     read = time.perf_counter()
 
     start_jax(not arguments.no_compile_cache)
-    blurred = apply_filter(arguments.filter, buffers, parameters, settings)
+    blurred = apply_filter(name, buffers, parameters, settings)
     done = time.perf_counter()
-    images = {"input": buffers.color, arguments.filter: blurred}
+    images = {"input": buffers.color, name: blurred}
     scores = [] if truth is None else score_rows(images, truth)
-    notes = _provenance(arguments, buffers, parameters, settings)
+    notes = _provenance(arguments, name, buffers, parameters, settings)
     for output in outputs:
         _write(output, blurred, arguments, notes)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
@@ -221,14 +233,45 @@ def _parameter(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"{name} must be a number, got {value!r}") from error
 
 
-def _settings(arguments: argparse.Namespace) -> Settings:
-    known = published.FILTERS[arguments.filter]
-    choices = {name: getattr(arguments, name) for name in CHOICES}
-    return Settings(
-        samples=arguments.samples or known.samples,
-        radius=arguments.radius or known.radius,
-        **choices,
-    )
+def complete(
+    arguments: argparse.Namespace, fitted: Any = None
+) -> tuple[str, dict[str, float], Settings]:
+    """Say which filter runs and how: as asked for, else as fitted, else as published.
+
+    Args:
+        arguments: with the options of `add_filter_options`.
+        fitted: a `jaxblur.FitResult`, or None.
+
+    Returns:
+        Name of the filter, all of its parameters, settings.
+
+    Raises:
+        CommandError: another filter was fitted, or a parameter is unknown or out of range.
+    """
+    name = arguments.filter or (fitted.filter if fitted else published.DEFAULT_FILTER)
+    if fitted and fitted.filter != name:
+        raise CommandError(
+            f"{arguments.parameters}: holds parameters of {fitted.filter}; leave out "
+            f"--filter {name}."
+        )
+    if name not in published.FILTERS:
+        known = ", ".join(published.FILTERS)
+        raise CommandError(f"{arguments.parameters}: no filter {name!r}; there are {known}.")
+    settings = {key: getattr(published.FILTERS[name], key) for key in ("samples", "radius")}
+    values = dict(arguments.param)
+    if fitted:
+        settings, values = fitted.settings, fitted.parameters | values
+    names = ("samples", "radius", *CHOICES)
+    given = {key: value for key in names if (value := getattr(arguments, key))}
+    return name, published.checked_parameters(name, values), Settings(**settings | given)
+
+
+def _fitted(path: pathlib.Path | None) -> Any:
+    if path is None:
+        return None
+    from jaxblur.fitting import FitResult
+
+    return FitResult.load(path)
 
 
 def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
@@ -305,7 +348,11 @@ def score_rows(images: Mapping[str, Any], truth: Any) -> list[tuple[str, ...]]:
 
 
 def _provenance(
-    arguments: argparse.Namespace, buffers: Any, parameters: dict[str, float], settings: Settings
+    arguments: argparse.Namespace,
+    name: str,
+    buffers: Any,
+    parameters: dict[str, float],
+    settings: Settings,
 ) -> dict[str, str]:
     """Give what must be known to make the output again; names of files, without folders."""
     used = dataclasses.asdict(settings) | {
@@ -316,7 +363,7 @@ def _provenance(
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
     return {
         "jaxblur:version": jaxblur.__version__,
-        "jaxblur:filter": arguments.filter,
+        "jaxblur:filter": name,
         "jaxblur:parameters": _toml(parameters),
         "jaxblur:settings": _toml(used),
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),

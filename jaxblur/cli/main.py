@@ -12,12 +12,12 @@ from typing import Any
 
 import jaxblur
 
-from . import blur, demo, info, scene, vectors
+from . import blur, demo, fit, info, scene, vectors
 from .arguments import CommandError, Parser, in_option_names
 from .console import one_line
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, info, vectors, demo, scene)
+COMMANDS = (blur, fit, info, vectors, demo, scene)
 
 USAGE = 2
 INTERRUPTED = 130

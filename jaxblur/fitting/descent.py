@@ -15,7 +15,7 @@ import optax
 from jaxtyping import Array, Float
 
 from ..exr.atomic import replacing
-from .constraints import to_values
+from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
 
 SAVE_EVERY = 30.0
@@ -64,9 +64,10 @@ class Task:
         return value_and_gradient(self.objective, free, self.fixed, self.batches, key)
 
     def parameters(self, free: jax.Array) -> dict[str, float]:
-        """All parameters at a point."""
+        """All parameters at a point, in the order of the filter."""
         name, names = self.objective.filter_name, self.objective.free
-        return dict(self.fixed) | {k: float(v) for k, v in to_values(name, free, names).items()}
+        values = dict(self.fixed) | to_values(name, free, names)
+        return {key: float(values[key]) for key in constraints_of(name)}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -155,11 +155,15 @@ def _flags(
         if np.isnan(share):
             flags.append(f"{name}: too few moving tiles for a standard error; give more frames")
         elif np.isinf(share):
-            flags.append(f"{name}: the loss does not depend on it here: not determined")
+            flags.append(
+                f"{name}: the loss has no minimum along it here: not determined, or not done"
+            )
         elif share > UNSURE:
             flags.append(f"{name}: ±{100 * share:.0f} %: not determined by these frames")
         if table[name].at_end(value):
-            flags.append(f"{name}: ran to the end of its range, {value:.3g}")
+            flags.append(
+                f"{name}: ran to the end of its range, {value:.3g}: its error means little"
+            )
     for row, column in zip(*np.triu_indices(len(names), 1), strict=True):
         if abs(correlation[row, column]) > ENTANGLED:
             flags.append(

@@ -1,0 +1,363 @@
+"""``jaxblur fit``: from frames with truth to a file of parameters."""
+
+import argparse
+import contextlib
+import dataclasses
+import itertools
+import logging
+import pathlib
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from . import published
+from .arguments import (
+    CommandError,
+    add_command,
+    add_compute_options,
+    add_vector_options,
+    check_folder,
+    check_outputs,
+    describe_presets,
+    did_you_mean,
+    positive_integer,
+)
+from .blur import add_filter_options, complete
+from .compute import start_jax
+from .console import print_line, print_table
+
+LOG = logging.getLogger("jaxblur")
+
+TRUTH_RULE = """\
+--truth is either one file for each frame, paired in sorted order, or a single pattern in which
+{stem} stands for the frame's name without extension, {number} for the last digits in it, and
+{folder} for its folder: --truth '{folder}/truth_{number}.exr'."""
+
+_CROP = re.compile(r"([1-9]\d*)x([1-9]\d*)\+(\d+)\+(\d+)")
+_FIGURES = ("psnr", "ssim", "flip")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "fit", "Fit parameters of a filter to frames whose true blur is known.", run
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.more_help = lambda: (
+        f"{TRUTH_RULE}\n\n{published.describe_filters()}\n\n{describe_presets()}"
+    )
+    parser.add_argument("frames", type=pathlib.Path, nargs="+", help="sharp frames with vectors")
+    parser.add_argument(
+        "--truth", nargs="+", required=True, metavar="FILE", help="files or a pattern, see below"
+    )
+    parser.add_argument(
+        "-o", "--output", type=pathlib.Path, required=True, metavar="OUT.toml", help="result"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing output")
+    parser.add_argument(
+        "--holdout",
+        nargs="+",
+        default=[],
+        metavar="PATTERN",
+        help="frames of the list that are not fitted but only evaluated",
+    )
+    parser.add_argument("--crop", type=crop, metavar="WxH+X+Y", help="use only this part")
+    add_compute_options(parser)
+    _add_fit_options(parser)
+    add_filter_options(parser)
+    add_vector_options(parser)
+
+
+def _add_fit_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("fit")
+    group.add_argument(
+        "--free",
+        type=lambda text: tuple(name.strip() for name in text.split(",")),
+        metavar="A,B",
+        help="parameters to fit (guertin2014: kappa,gamma,tau,phi); --param sets where they start",
+    )
+    group.add_argument(
+        "--loss",
+        choices=("auto", "expected", "mean"),
+        default="auto",
+        help="over the choice of tile: expected error, or error of the mean image "
+        "(default auto: what runs)",
+    )
+    group.add_argument(
+        "--pixel",
+        choices=("mse", "relative", "display", "ssim"),
+        default="mse",
+        help="error of a pixel (default %(default)s)",
+    )
+    group.add_argument("--mask", choices=("moving",), help="count only what motion reaches")
+    group.add_argument(
+        "--fit-noise",
+        choices=("fresh", "fixed", "builtin"),
+        default="fresh",
+        help="jitter during the fit: new at each step, or always the same (default %(default)s)",
+    )
+    group.add_argument(
+        "--noise-draws",
+        type=positive_integer,
+        default=1,
+        metavar="N",
+        help="draws of noise in each step (default %(default)s)",
+    )
+    group.add_argument(
+        "--steps", type=positive_integer, default=150, metavar="N", help="default %(default)s"
+    )
+    group.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of all noise (default %(default)s)"
+    )
+    group.add_argument(
+        "--resume", action="store_true", help="go on from OUT.state.npz, if it is there"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fit, report and write; see `add_parser`."""
+    name, parameters, settings = complete(arguments)
+    frames, truths = pair_files(arguments.frames, arguments.truth)
+    holdout = held_out(frames, arguments.holdout)
+    _check_output(arguments, [*frames, *truths])
+    pairs = [_read_pair(arguments, *files) for files in zip(frames, truths, strict=True)]
+    settings = _with_radius(settings, arguments, pairs)
+    state = arguments.output.with_suffix(".state.npz")
+
+    start_jax(not arguments.no_compile_cache)
+    import jax
+
+    from jaxblur.fitting import fit
+    from jaxblur.frame import Frame
+
+    with _progress(arguments.steps) as callback:
+        result = fit(
+            name,
+            [(Frame(b.color, b.depth, b.velocity), truth) for b, truth in pairs],
+            initial=parameters,
+            free=arguments.free,
+            loss=arguments.loss,
+            pixel=arguments.pixel,
+            mask=arguments.mask,
+            settings=settings,
+            noise=arguments.fit_noise,
+            noise_draws=arguments.noise_draws,
+            steps=arguments.steps,
+            holdout=holdout,
+            key=jax.random.key(arguments.seed),
+            names=[path.as_posix() for path in frames],
+            notes={"shutter": arguments.shutter, "preset": pairs[0][0].guess.preset.name},
+            callback=callback,
+            state=state,
+            resume=arguments.resume,
+        )
+    if result.interrupted:
+        LOG.warning("stopped after %d steps; --resume goes on from %s", result.steps, state)
+        raise KeyboardInterrupt
+    result.save(arguments.output)
+    state.unlink(missing_ok=True)
+    _report(arguments.output, result)
+    return 0
+
+
+def pair_files(
+    frames: Sequence[pathlib.Path], truths: Sequence[str]
+) -> tuple[list[pathlib.Path], list[pathlib.Path]]:
+    """Find the truth of each frame; see `TRUTH_RULE`.
+
+    Args:
+        frames: files.
+        truths: files, or one pattern.
+
+    Returns:
+        Frames in sorted order, and their truths.
+
+    Raises:
+        CommandError: the numbers differ, a frame is named twice, or a pattern does not apply.
+    """
+    ordered = sorted(frames)
+    for first, second in itertools.pairwise(ordered):
+        if first == second:
+            raise CommandError(f"{first}: is given twice.")
+    if len(truths) == 1 and "{" in truths[0]:
+        return ordered, [_from_pattern(truths[0], frame) for frame in ordered]
+    if len(truths) != len(ordered):
+        raise CommandError(
+            f"--truth: {len(truths)} files for {len(ordered)} frames; give one for each, or a "
+            "pattern such as '{folder}/truth_{number}.exr'."
+        )
+    return ordered, sorted(map(pathlib.Path, truths))
+
+
+def _from_pattern(pattern: str, frame: pathlib.Path) -> pathlib.Path:
+    numbers = re.findall(r"\d+", frame.stem)
+    fields = {"stem": frame.stem, "folder": str(frame.parent)}
+    if numbers:
+        fields["number"] = numbers[-1]
+    try:
+        return pathlib.Path(pattern.format(**fields))
+    except (KeyError, IndexError, ValueError, AttributeError) as error:
+        raise CommandError(
+            f"--truth: {pattern!r} does not apply to {frame}; it may hold "
+            f"{', '.join(f'{{{name}}}' for name in fields)}."
+        ) from error
+
+
+def held_out(frames: Sequence[pathlib.Path], patterns: Sequence[str]) -> list[int]:
+    """Find the frames that are held out.
+
+    Args:
+        frames: all frames.
+        patterns: names or shell patterns, matched from the end of the path.
+
+    Returns:
+        Indices of the frames.
+
+    Raises:
+        CommandError: a pattern matches none.
+    """
+    found: set[int] = set()
+    for pattern in patterns:
+        matching = {k for k, frame in enumerate(frames) if frame.match(pattern)}
+        if not matching:
+            hint = did_you_mean(pattern, map(str, frames))
+            raise CommandError(f"--holdout: no frame matches {pattern!r}{hint}.")
+        found |= matching
+    return sorted(found)
+
+
+def crop(text: str) -> tuple[slice, slice]:
+    """Parse ``WxH+X+Y`` to rows and columns.
+
+    Raises:
+        ArgumentTypeError: it is something else.
+    """
+    match = _CROP.fullmatch(text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"expected WxH+X+Y such as 320x180+0+90, got {text!r}")
+    width, height, x, y = map(int, match.groups())
+    return slice(y, y + height), slice(x, x + width)
+
+
+def _check_output(arguments: argparse.Namespace, inputs: Sequence[pathlib.Path]) -> None:
+    from jaxblur import exr
+
+    output = arguments.output
+    if output.suffix != ".toml":
+        raise CommandError(f"{output}: can write .toml only; change the extension.")
+    for path in inputs:
+        exr.inspect(path)
+    check_outputs([output], arguments.overwrite)
+    check_folder(output.parent)
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+
+
+def _read_pair(
+    arguments: argparse.Namespace, frame: pathlib.Path, truth: pathlib.Path
+) -> tuple[Any, Any]:
+    from jaxblur import exr
+
+    buffers = exr.read_buffers(
+        frame,
+        arguments.preset,
+        arguments.shutter,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        velocity_channels=arguments.velocity_channels,
+    )
+    image = exr.read_image(truth)
+    if image.shape[:2] != buffers.color.shape[:2]:
+        raise CommandError(
+            f"{truth}: the truth has {_size(image)} pixels, but {frame} has "
+            f"{_size(buffers.color)}; render both with the same data window."
+        )
+    LOG.info("%s: truth %s; vectors: %s", frame, truth, buffers.guess.reason)
+    return _cropped(arguments.crop, frame, buffers, image)
+
+
+def _cropped(
+    part: tuple[slice, slice] | None, frame: pathlib.Path, buffers: Any, truth: Any
+) -> tuple[Any, Any]:
+    if part is None:
+        return buffers, truth
+    height, width = truth.shape[:2]
+    if part[0].stop > height or part[1].stop > width:
+        raise CommandError(f"--crop: reaches beyond {frame}, which has {width}x{height} pixels.")
+    names = ("color", "depth", "velocity")
+    cut = {name: getattr(buffers, name)[part] for name in names}
+    return dataclasses.replace(buffers, path=None, **cut), truth[part]
+
+
+def _size(image: Any) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"
+
+
+def _with_radius(settings: Any, arguments: argparse.Namespace, pairs: Sequence[Any]) -> Any:
+    """Take the radius from the fastest frame if asked to."""
+    from jaxblur import vectors
+
+    if arguments.radius != 0:
+        return settings
+    speeds = [vectors.speed_statistics(buffers.velocity) for buffers, _ in pairs]
+    radius = max(speed.suggested_radius for speed in speeds)
+    LOG.info("radius: %d px", radius)
+    return dataclasses.replace(settings, radius=radius)
+
+
+@contextlib.contextmanager
+def _progress(steps: int) -> Iterator[Callable[[Any], None]]:
+    """Show a bar on a terminal, and a line for each step elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda progress: LOG.info(
+            "step %d/%d loss %.5g %s",
+            *(progress.step, progress.steps, progress.loss, _listing(progress.parameters)),
+        )
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("fit", total=steps)
+        yield lambda progress: bar.update(
+            task, completed=progress.step, description=f"loss {progress.loss:.4g}"
+        )
+
+
+def _listing(parameters: dict[str, float]) -> str:
+    return " ".join(f"{name}={value:.4g}" for name, value in parameters.items())
+
+
+def _report(output: pathlib.Path, result: Any) -> None:
+    print_line(output)
+    LOG.info("minimized: %s", result.minimized)
+    sensitivity = result.sensitivity
+    errors = dict(zip(sensitivity.names, sensitivity.standard_error, strict=True))
+    print_table(
+        ("parameter", ">published", ">fitted", ">± standard error"),
+        [
+            (
+                *(name, f"{result.published[name]:.4g}", f"{value:.4g}"),
+                f"{errors[name]:.2g}" if name in errors else "held",
+            )
+            for name, value in result.parameters.items()
+        ],
+    )
+    parts = dict.fromkeys(score.part for score in result.scores)
+    print_table(
+        ("moving pixels", "parameters", ">PSNR dB", ">SSIM", ">FLIP"),
+        [
+            (part, label, *(_mean(result, figure, part, label) for figure in _FIGURES))
+            for part in parts
+            for label in ("published", "fitted")
+        ],
+    )
+    for flag in sensitivity.flags:
+        LOG.warning("%s", flag)
+
+
+def _mean(result: Any, figure: str, part: str, label: str) -> str:
+    digits = 2 if figure == "psnr" else 4
+    return f"{result.mean_score(figure, part, label, 'moving'):.{digits}f}"

@@ -1,0 +1,79 @@
+"""Planted truth: what the filter blurred with known parameters gives them back."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur.fitting import profile
+from tests.planted import FREE, SETTINGS, TRUE, planted_pair
+
+STARTS = {
+    "an order below": {"kappa": 3.0, "gamma": 0.2, "tau": 0.08, "phi": 0.9, "depth_sharpness": 0.4},
+    "an order above": {
+        "kappa": 300.0,
+        "gamma": 20.0,
+        "tau": 0.95,
+        "phi": 90.0,
+        "depth_sharpness": 40.0,
+    },
+    "mixed": {"kappa": 300.0, "gamma": 0.2, "tau": 0.1, "phi": 90.0, "depth_sharpness": 0.4},
+}
+
+
+def fit_from(start, steps=200, **options):
+    return jaxblur.fit(
+        "guertin2014",
+        [planted_pair()],
+        initial=start,
+        free=FREE,
+        settings=SETTINGS,
+        noise="builtin",
+        steps=steps,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("start", STARTS.values(), ids=STARTS)
+def test_a_fit_finds_the_planted_parameters_within_one_percent(start):
+    result = fit_from(start)
+    for name in FREE:
+        assert abs(result.parameters[name] / TRUE[name] - 1) < 0.01, (name, result.parameters)
+    assert result.parameters["eta"] == TRUE["eta"]
+    assert result.loss[0] > 1e3 * result.loss[-1]
+    assert result.sensitivity is not None and result.sensitivity.flags == ()
+    assert max(result.sensitivity.relative_error) < 0.01
+
+
+def test_a_profile_has_its_minimum_at_the_planted_value_and_the_curvature_of_the_hessian():
+    result = fit_from({name: TRUE[name] for name in FREE}, steps=1)
+    values = TRUE["gamma"] * np.exp([-0.4, -0.1, 0.0, 0.1, 0.4])
+    scan = profile(result, [planted_pair()], "gamma", values=values)
+    assert np.isclose(scan.best, TRUE["gamma"]) and scan.refit_steps == 0
+    assert (np.diff(scan.losses)[:2] < 0).all() and (np.diff(scan.losses)[2:] > 0).all()
+    curvature = (scan.losses[1] - 2 * scan.losses[2] + scan.losses[3]) / 0.1**2
+    assert result.sensitivity is not None
+    row = FREE.index("gamma")
+    np.testing.assert_allclose(result.sensitivity.curvature[row][row], curvature, rtol=0.2)
+
+    # Refitting the others can only lower the loss, and lowers it where they can make up for it.
+    refitted = profile(result, [planted_pair()], "gamma", values=values[[0, 4]], refit_steps=8)
+    assert (refitted.losses < 0.98 * scan.losses[[0, 4]]).all()
+
+
+def test_two_parameters_of_mcguire_and_a_stochastic_fit_land_near_the_truth(tmp_path):
+    frame, _ = planted_pair()
+    settings = jaxblur.Settings(samples=7, radius=16, fetch="bilinear")
+    extent = jaxblur.McGuireParameters(soft_z_extent=0.7)
+    truth = jaxblur.mcguire2012(frame, extent, settings=settings)
+    result = jaxblur.fit(
+        jaxblur.mcguire2012,
+        [(frame, truth)],
+        initial={"soft_z_extent": 0.07},
+        settings=settings,
+        noise="builtin",
+        steps=60,
+        key=jax.random.key(3),
+    )
+    assert result.free == ("soft_z_extent",)
+    assert abs(result.parameters["soft_z_extent"] / 0.7 - 1) < 0.01

@@ -1,0 +1,130 @@
+"""The result file: what is written is read, and nothing else is."""
+
+import dataclasses
+import math
+import re
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+import jaxblur
+from jaxblur.exr import JaxblurIOError
+from jaxblur.fitting.result import SCHEMA, Data, FitResult, Score, Sensitivity, to_toml
+
+RESULT = FitResult(
+    filter="mcguire2012",
+    parameters={"soft_z_extent": 0.25},
+    initial={"soft_z_extent": 1.0},
+    published={"soft_z_extent": 0.1},
+    free=("soft_z_extent",),
+    minimized="mse error",
+    objective={"loss": "mean", "noise_draws": 2},
+    settings=dataclasses.asdict(jaxblur.Settings(samples=15, radius=20)),
+    notes={"shutter": 0.5, "preset": "blender"},
+    steps=2,
+    interrupted=False,
+    loss=(0.5, 1e-17),
+    scores=(
+        Score("a", "train", "fitted", "whole", 0.1, 0.2, math.inf, 1.0, 0.0),
+        Score("b", "train", "fitted", "whole", 0.3, 0.2, 30.0, 1.0, 0.0),
+    ),
+    sensitivity=Sensitivity(
+        names=("soft_z_extent",),
+        standard_error=(math.inf,),
+        relative_error=(0.5,),
+        correlation=((1.0,),),
+        curvature=((-3e-5,),),
+        flags=('±50 %: "quoted" \\ back\x7f\n',),
+        blocks=3,
+    ),
+    data=(Data('odd "name" ü \U0001f600.exr', "train", "00ff"),),
+    versions={"jax": "0.10.2"},
+)
+
+
+def test_round_trip(tmp_path):
+    path = tmp_path / "fitted.toml"
+    RESULT.save(path)
+    assert FitResult.load(path) == RESULT
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["schema"] == SCHEMA
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fitted.toml"]
+
+
+def test_an_interrupted_result_has_neither_scores_nor_sensitivity(tmp_path):
+    partial = dataclasses.replace(RESULT, scores=(), sensitivity=None, interrupted=True)
+    partial.save(tmp_path / "fitted.toml")
+    assert FitResult.load(tmp_path / "fitted.toml") == partial
+
+
+def test_what_a_filter_takes():
+    assert RESULT.filter_parameters == jaxblur.McGuireParameters(soft_z_extent=0.25)
+    assert RESULT.filter_settings == jaxblur.Settings(samples=15, radius=20)
+
+
+def test_mean_scores():
+    assert math.isclose(RESULT.mean_score("mse", "train", "fitted"), 0.2)
+    assert math.isnan(RESULT.mean_score("mse", "held-out", "fitted"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("schema = 1", "schema = 2", "`schema` must be 1, got 2"),
+        ("schema = 1", "", "`schema` must be 1, got None"),
+        ("steps = 2", "steps = 2\nspeed = 3", "unknown key `speed`"),
+        ("blocks = 3", "blocks = 3\nblock = 3", "unknown key `sensitivity.block`"),
+        ("flip = 0.0", "flip = 0.0\nflop = 1.0", r"unknown key `scores\[0\].flop`"),
+        ("steps = 2", "", "missing key `steps`"),
+        ("steps = 2", 'steps = "2"', "`steps` must be int, got '2'"),
+        ("interrupted = false", "interrupted = 0", "`interrupted` must be bool, got 0"),
+        ("loss = [0.5, 1e-17]", "loss = 0.5", "`loss` must be list, got 0.5"),
+        ("soft_z_extent = 0.25", "soft_z_extent = true", "`parameters.soft_z_extent` must be"),
+        ("steps = 2", "steps = ", "is no TOML"),
+    ],
+)
+def test_a_changed_file_is_refused_by_name_and_key(tmp_path, old, new, match):
+    path = tmp_path / "fitted.toml"
+    RESULT.save(path)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"{re.escape(str(path))}: .*{match}"):
+        FitResult.load(path)
+
+
+def test_whole_numbers_are_read_as_floats(tmp_path):
+    path = tmp_path / "fitted.toml"
+    RESULT.save(path)
+    path.write_text(path.read_text(encoding="utf-8").replace("= 0.25", "= 3"), encoding="utf-8")
+    value = FitResult.load(path).parameters["soft_z_extent"]
+    assert value == 3 and isinstance(value, float)
+
+
+def test_nested_tables_and_odd_keys():
+    table = {"a b": {"x": 1, "deep": [{"y": True}, {"y": False}]}, "top": "t", "empty": []}
+    assert tomllib.loads(to_toml(table)) == table
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "fitted.toml"
+    path.write_text("old")
+    broken = dataclasses.replace(RESULT, minimized="\ud800")
+    with pytest.raises(UnicodeEncodeError):
+        broken.save(path)
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fitted.toml"]
+    with pytest.raises(JaxblurIOError, match="cannot be written"):
+        RESULT.save(tmp_path / "missing" / "fitted.toml")
+
+
+def test_a_result_is_read_without_jax(tmp_path):
+    path = tmp_path / "fitted.toml"
+    RESULT.save(path)
+    code = (
+        "import sys; from jaxblur.fitting import FitResult; "
+        f"print(FitResult.load({str(path)!r}).filter, 'jax' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["mcguire2012", "False"]
