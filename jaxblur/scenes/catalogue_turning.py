@@ -205,7 +205,6 @@ def rolling_sphere(material: str = "checker", speed: str = "medium") -> Scene:
         (0, radius, 0),
         orientation=props.turned((1, 0, 0), 25),
         velocity=(travel, 0, 0),
-        orbit=(0.0,),
         spin_axis=props.turned((1, 0, 0), -25) @ np.array([0, 0, 1.0]),
         spin=(0.0, -travel / radius),
     )
