@@ -2,8 +2,9 @@
 
 The sum over samples is one kernel. A sample is an elementwise function written for a trailing
 sample axis; all of its terms are summed by one variadic reduction over that minor axis, which
-XLA fuses with the reads, so that nothing of shape (H, W, N) exists in memory. Its derivative is
-that of a scan over the samples with rematerialisation: memory does not grow with N either.
+XLA fuses with the reads, so that nothing of shape (H, W, N) exists in memory. Derivatives with
+respect to a pixel's own values come out of the same kernel; those with respect to what is read
+elsewhere are those of a scan over the samples with rematerialisation.
 """
 
 import functools
@@ -19,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from .settings import Border, Fetch
 
 Terms = tuple[jax.Array, ...]
-Sample = Callable[[jax.Array, Any], Terms]
+Sample = Callable[[jax.Array, Any, Any], Terms]
 
 
 class Texels(NamedTuple):
@@ -150,55 +151,122 @@ def color_planes(color: Float[Array, "height width channels"]) -> tuple[jax.Arra
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def sum_samples(sample: Sample, count: int, operands: Any) -> Terms:
-    """Sum the terms of all samples of every pixel, ``sum_i sample(i, operands)``.
+def sum_samples(sample: Sample, count: int, moving: Any, local: Any, tables: Any) -> Terms:
+    """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
 
     Args:
-        sample: maps (sample indices (n,), operands) to a tuple of (H, W, n) arrays. A hashable
-            module-level function or partial: it is part of the compilation key.
+        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays;
+            elementwise but for reads of the tables. Part of the compilation key.
         count: number of samples N.
-        operands: pytree of arrays: per-pixel ones of shape (H, W, 1), tables, scalars.
+        moving: (H, W) bool, the pixels whose sums are wanted; if there is none, nothing is
+            computed.
+        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
+        tables: pytree of arrays that samples read at other pixels.
 
     Returns:
-        A tuple of (H, W) sums. Differentiable in the operands, forward and reverse, to any order
-        that the sample function is.
+        A tuple of (H, W) sums, 0 if no pixel moves. Differentiable in both pytrees, forward and
+        reverse, to any order. Derivatives with respect to ``local`` alone cost one more kernel and no scatter.
     """
-    # What is computed once per pixel must not be computed again at every tap that reads it.
-    terms = sample(jnp.arange(count), lax.optimization_barrier(operands))
-    zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
 
-    def add(totals: Terms, more: Terms) -> Terms:
-        return tuple(a + b for a, b in zip(totals, more, strict=True))
+    def sums(local: Any, tables: Any) -> Terms:
+        terms = sample(jnp.arange(count), local, tables)
+        zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
+        return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
-    return tuple(lax.reduce(terms, zeros, add, (2,)))
+    def nothing(local: Any, tables: Any) -> Terms:
+        return _zero_sums(sample, local, tables)
+
+    # The conditional also keeps XLA from fusing what is computed once per pixel into the kernel,
+    # where it would be computed again at every tap that reads it.
+    return lax.cond(jnp.any(moving), sums, nothing, local, tables)
 
 
-def _sum_by_scan(sample: Sample, count: int, operands: Any) -> Terms:
+def _add(totals: Terms, more: Terms) -> Terms:
+    """Term by term."""
+    return tuple(a + b for a, b in zip(totals, more, strict=True))
+
+
+def _zero_sums(sample: Sample, local: Any, tables: Any) -> Terms:
+    """Sums of no samples."""
+    terms = jax.eval_shape(sample, jnp.arange(1), local, tables)
+    return tuple(jnp.zeros(term.shape[:2], term.dtype) for term in terms)
+
+
+def _sum_by_scan(sample: Sample, count: int, local: Any, tables: Any) -> Terms:
     """The same sums, one sample after the other; transposes without keeping any sample."""
 
     def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
-        terms = jax.checkpoint(sample)(index[None], operands)
-        return tuple(a + b[..., 0] for a, b in zip(totals, terms, strict=True)), None
+        terms = jax.checkpoint(sample)(index[None], local, tables)
+        return _add(totals, tuple(term[..., 0] for term in terms)), None
 
-    terms = jax.eval_shape(sample, jnp.arange(1), operands)
-    zeros = tuple(jnp.zeros(term.shape[:2], term.dtype) for term in terms)
-    return lax.scan(step, zeros, jnp.arange(count))[0]
+    return lax.scan(step, _zero_sums(sample, local, tables), jnp.arange(count))[0]
+
+
+def _tangent_leaves(tangents: Any) -> list[Any]:
+    """Leaves of a tangent tree, symbolic zeros included."""
+    return jax.tree.leaves(tangents, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
+
+
+def _active(tangents: Any) -> list[int]:
+    """Positions of the leaves that have a tangent."""
+    leaves = _tangent_leaves(tangents)
+    return [k for k, leaf in enumerate(leaves) if not isinstance(leaf, SymbolicZero)]
+
+
+def _replace(tree: Any, positions: list[int], values: list[jax.Array]) -> Any:
+    """The tree with the leaves at some positions replaced."""
+    leaves, structure = jax.tree.flatten(tree)
+    for position, value in zip(positions, values, strict=True):
+        leaves[position] = value
+    return jax.tree.unflatten(structure, leaves)
+
+
+def _with_derivatives(
+    sample: Sample, active: list[int], index: jax.Array, local: Any, tables: Any
+) -> Terms:
+    """The terms of a sample, then their derivatives with respect to each active local leaf."""
+    leaves = jax.tree.leaves(local)
+
+    def derivatives(position):
+        def of_leaf(leaf):
+            return sample(index, _replace(local, [position], [leaf]), tables)
+
+        return jax.jvp(of_leaf, (leaves[position],), (jnp.ones_like(leaves[position]),))[1]
+
+    terms = sample(index, local, tables)
+    return sum((derivatives(position) for position in active), start=terms)
 
 
 def _sum_samples_jvp(sample, count, primals, tangents):
-    """Differentiate only what has a tangent: no scatter appears for parameters alone."""
-    (operands,), (tangent,) = primals, tangents
-    leaves, structure = jax.tree.flatten(operands)
-    directions = jax.tree.leaves(tangent, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
-    active = [k for k, leaf in enumerate(directions) if not isinstance(leaf, SymbolicZero)]
+    """Derivatives of the sums; only what has a tangent is differentiated.
 
-    def by_scan(active_leaves):
-        values = dict(enumerate(leaves)) | dict(zip(active, active_leaves, strict=True))
-        return _sum_by_scan(sample, count, jax.tree.unflatten(structure, list(values.values())))
+    A pixel's sums depend on its own local values only, so their derivatives are images: they are
+    summed in the same kernel as the sums, and then multiplied by whatever tangents come, which
+    transposes without a scatter. Tables are read anywhere: those go through the scan.
+    """
+    moving, local, tables = primals
+    tangents = tangents[1:]
+    active = _active(tangents[0])
+    if _active(tangents[1]):
+        positions, primals = _active(tangents), (local, tables)
+        leaves, directions = jax.tree.leaves(primals), _tangent_leaves(tangents)
 
-    totals = sum_samples(sample, count, operands)
-    change = jax.jvp(by_scan, ([leaves[k] for k in active],), ([directions[k] for k in active],))[1]
-    return totals, change
+        def by_scan(values):
+            return _sum_by_scan(sample, count, *_replace(primals, positions, values))
+
+        values = [leaves[k] for k in positions]
+        change = jax.jvp(by_scan, (values,), ([directions[k] for k in positions],))[1]
+        return sum_samples(sample, count, moving, local, tables), change
+    augmented = functools.partial(_with_derivatives, sample, active)
+    sums = sum_samples(augmented, count, moving, local, tables)
+    size = len(sums) // (1 + len(active))
+    change = [jnp.zeros_like(total) for total in sums[:size]]
+    for block, position in enumerate(active, start=1):
+        tangent = _tangent_leaves(tangents[0])[position]
+        tangent = tangent[..., 0] if tangent.ndim == 3 else tangent
+        for term in range(size):
+            change[term] = change[term] + sums[block * size + term] * tangent
+    return tuple(sums[:size]), tuple(change)
 
 
 sum_samples.defjvp(_sum_samples_jvp, symbolic_zeros=True)

@@ -11,11 +11,9 @@ from jaxtyping import Array, Float
 SPEED_FLOOR = 0.5
 """Half a pixel: slower points are as sharp as a pixel can show [McGuire 2012, listing 1]."""
 
-_NEAREST, _FARTHEST = 1e-15, 1e30
-"""Depths are clamped to these: sky minus sky is then 0 and not NaN, and no quotient overflows."""
-
-_NEAREST_RATIO = 1e-6
-"""Depth ratios below this count as this: the weight is 0 there for every sharpness over 1e-6."""
+_NEAREST, _FARTHEST = 1e-9, 1e18
+"""Depths are clamped to these: sky minus sky is then 0 and not NaN, and no quotient overflows,
+nor its derivative."""
 
 
 def floored_speed(speed: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
@@ -68,7 +66,7 @@ def finite_depth(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         depth: positive distances in scene units, +inf for sky.
 
     Returns:
-        The same within [1e-15, 1e30]; the derivative is 0 outside.
+        The same within [1e-9, 1e18]; the derivative is 0 outside.
     """
     return jnp.clip(depth, _NEAREST, _FARTHEST)
 
@@ -95,13 +93,9 @@ def relative_closeness(
     Returns:
         f and b, in [0, 1].
     """
-    nearer = jnp.minimum(depth_sample, depth_pixel)
-    farther = jnp.maximum(depth_sample, depth_pixel)
-    excess = (farther - nearer) / jnp.maximum(nearer, _NEAREST_RATIO * farther)
-    separation = 1 - jnp.minimum(sharpness * excess, 1)
-    in_front = jnp.where(depth_sample > depth_pixel, separation, 1)
-    behind = jnp.where(depth_sample < depth_pixel, separation, 1)
-    return in_front, behind
+    separation = sharpness * (depth_sample - depth_pixel) / jnp.minimum(depth_sample, depth_pixel)
+    separation = jnp.clip(separation, -1, 1)
+    return 1 - jnp.maximum(separation, 0), 1 + jnp.minimum(separation, 0)
 
 
 def absolute_closeness(

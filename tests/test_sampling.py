@@ -7,7 +7,6 @@ import pytest
 from jax.scipy.ndimage import map_coordinates
 
 from jaxblur import sampling
-from tests.helpers import check_gradients
 
 
 def test_taps_are_evenly_spaced_inside_the_line():
@@ -67,48 +66,63 @@ def test_bilinear_fetch_at_integers_has_the_slope_to_the_right():
     assert jax.grad(read)(0.0) == 3
 
 
-def sum_of_products(scale, index, operands):
-    a, b = operands["a"], operands["b"]
-    return scale * a * jnp.sin(b * index), a * jnp.cos(index * b) * operands["c"]
+def windowed_sine(scale, index, local, tables):
+    """Two terms that use local planes, a local scalar, and a table read elsewhere."""
+    a, b = local["a"], local["b"]
+    height, width, _ = a.shape
+    place = jnp.arange(height * width).reshape(height, width, 1)
+    read = sampling.read_nearest(tables["d"], (place * 5 + index) % (height * width))
+    return scale * a * jnp.sin(b * index) * read, a * jnp.cos(index * b) * local["c"]
 
 
-def test_sum_and_its_derivatives_equal_a_plain_sum():
-    sample, count = functools.partial(sum_of_products, 2.0), 5
+def operands(shape, dtype=np.float64):
     generator = np.random.default_rng(1)
+    planes = {name: jnp.asarray(generator.normal(size=(*shape, 1)), dtype) for name in "ab"}
+    local = planes | {"c": jnp.asarray(0.7, dtype)}
+    return local, {"d": jnp.asarray(generator.normal(size=shape[0] * shape[1]), dtype)}
 
-    def plain(operands):
-        terms = [sample(jnp.asarray([i]), operands) for i in range(count)]
+
+@pytest.mark.parametrize("active", [(0,), (1,), (0, 1)], ids=["local", "tables", "both"])
+def test_sum_and_its_derivatives_equal_a_plain_sum(active):
+    sample, count = functools.partial(windowed_sine, 2.0), 5
+
+    def plain(local, tables):
+        terms = [sample(jnp.asarray([i]), local, tables) for i in range(count)]
         return tuple(sum(term[..., 0] for term in column) for column in zip(*terms, strict=True))
 
     with jax.enable_x64(True):
-        operands = {
-            "a": jnp.asarray(generator.normal(size=(3, 4, 1))),
-            "b": jnp.asarray(generator.normal(size=(3, 4, 1))),
-            "c": jnp.asarray(0.7),
-        }
-        ours = functools.partial(sampling.sum_samples, sample, count)
-        for actual, expected in zip(ours(operands), plain(operands), strict=True):
-            np.testing.assert_allclose(actual, expected, rtol=1e-12)
+        values = operands((3, 4))
+        ours = functools.partial(sampling.sum_samples, sample, count, jnp.ones((3, 4), bool))
 
-        def both_jacobians(function):
-            return jax.jacfwd(function)(operands), jax.jacrev(function)(operands)
+        def derivatives(function):
+            return (
+                function(*values),
+                jax.jacfwd(function, argnums=active)(*values),
+                jax.jacrev(function, argnums=active)(*values),
+                jax.hessian(lambda *v: sum(map(jnp.sum, function(*v))), argnums=active)(*values),
+            )
 
         for actual, expected in zip(
-            jax.tree.leaves(both_jacobians(ours)),
-            jax.tree.leaves(both_jacobians(plain)),
-            strict=True,
+            jax.tree.leaves(derivatives(ours)), jax.tree.leaves(derivatives(plain)), strict=True
         ):
             np.testing.assert_allclose(actual, expected, atol=1e-12)
-        check_gradients(ours, operands)
 
 
-def test_no_array_holds_all_samples():
+@pytest.mark.parametrize("active", [0, 1], ids=["local", "tables"])
+def test_no_array_holds_all_samples(active):
     shape, count = (64, 64), 200
-    operands = {"a": jnp.ones((*shape, 1)), "b": jnp.ones((*shape, 1)), "c": jnp.float32(1)}
-    sample = functools.partial(sum_of_products, 2.0)
-    total = functools.partial(sampling.sum_samples, sample, count)
-    loss = jax.grad(lambda values: sum(map(jnp.sum, total(values))))
+    values = operands(shape, np.float32)
+    sample, moving = functools.partial(windowed_sine, 2.0), jnp.ones(shape, bool)
+    total = functools.partial(sampling.sum_samples, sample, count, moving)
+    loss = jax.grad(lambda *v: sum(map(jnp.sum, total(*v))), argnums=active)
     plane = 4 * shape[0] * shape[1]
     for function in (total, loss):
-        memory = jax.jit(function).lower(operands).compile().memory_analysis()
+        memory = jax.jit(function).lower(*values).compile().memory_analysis()
         assert memory.temp_size_in_bytes < 20 * plane
+
+
+def test_nothing_is_computed_where_nothing_moves():
+    values = operands((3, 4), np.float32)
+    sample, still = functools.partial(windowed_sine, 2.0), jnp.zeros((3, 4), bool)
+    for total in sampling.sum_samples(sample, 5, still, *values):
+        np.testing.assert_array_equal(total, 0)

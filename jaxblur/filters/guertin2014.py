@@ -63,47 +63,48 @@ class GuertinParameters:
     depth_sharpness: float | jax.Array = 1.0
 
 
-def _to_second_direction(index, settings, share):
+def _to_second_direction(index, settings, local):
     """Whether tap i goes to the second direction: every odd one, or `share` of N, interleaved."""
     if settings.split == "even":
         return index % 2 == 1
-    taps = jnp.round(share * settings.samples)
+    taps = jnp.round(local["share"] * settings.samples)
     return jnp.floor((index + 1) * taps / settings.samples) > jnp.floor(
         index * taps / settings.samples
     )
 
 
-def _weight(distance, second, direction, sample, pixel, sharpness):
+def _weight(distance, second, direction, sample, local):
     """Weight of one tap (pass 8 of the specification, Annexe I with departures 1 and 4).
 
     ``f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)``
     """
-    in_front, behind = relative_closeness(sample["depth"], pixel["depth"], sharpness)
-    along_pixel = jnp.where(second, 1, pixel["alignment"])
+    in_front, behind = relative_closeness(sample["depth"], local["depth"], local["sharpness"])
+    center = local["center"]
+    along_pixel = jnp.where(
+        second, 1, jnp.abs(center[0] * local["along"][0] + center[1] * local["along"][1])
+    )
     along_sample = jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
-    slower = jnp.maximum(sample["inverse_speed"], pixel["inverse_speed"])
+    slower = jnp.maximum(sample["inverse_speed"], local["inverse_speed"])
     return (
         in_front * cone(distance, sample["inverse_speed"]) * along_sample
-        + behind * cone(distance, pixel["inverse_speed"]) * along_pixel
+        + behind * cone(distance, local["inverse_speed"]) * along_pixel
         + 2 * cylinder(distance, slower) * jnp.maximum(along_pixel, along_sample)
     )
 
 
-def _sample(size, settings, index, operands):
+def _sample(size, settings, index, local, tables):
     """Weighted color, weight and count of a tap (passes 7 and 8)."""
-    position = tap_position(index, settings.samples, operands["jitter"])
-    second = _to_second_direction(index, settings, operands["share"])
-    direction = [jnp.where(second, *pair) for pair in operands["directions"]]
-    along = position * operands["reach"]
+    position = tap_position(index, settings.samples, local["jitter"])
+    second = _to_second_direction(index, settings, local)
+    direction = [
+        jnp.where(second, *pair) for pair in zip(local["center"], local["along"], strict=True)
+    ]
+    along = position * local["reach"]
     texels = read_position(along * direction[0], along * direction[1], size, settings.border)
-    read = {
-        name: read_nearest(plane.reshape(-1), texels.index)
-        for name, plane in operands["table"].items()
-    }
-    table = operands["table"] | {"alignment": operands["alignment"]}
-    weight = _weight(jnp.abs(along), second, direction, read, table, operands["sharpness"])
+    read = {name: read_nearest(plane, texels.index) for name, plane in tables["weights"].items()}
+    weight = _weight(jnp.abs(along), second, direction, read, local)
     weight = jnp.where(texels.counts, weight, 0)
-    colors = read_color(operands["color"], texels, size, settings.fetch)
+    colors = read_color(tables["color"], texels, size, settings.fetch)
     return (*(weight * color for color in colors), weight, texels.counts.astype(weight.dtype))
 
 
@@ -124,37 +125,41 @@ def _directions(velocity, speed, dominant, gamma):
     return (along_x, along_y), safe_normalize(center_x, center_y)
 
 
-def _pixel_terms(frame, velocity, speed, noise, parameters, settings):
-    """What a tap needs and what does not depend on the tile that is read."""
+def _buffers(frame, velocity, speed, noise, parameters, settings):
+    """What taps need and what does not depend on the tile that is read: local values, tables."""
     inverse_speed = 1 / floored_speed(speed)
-    table = {
-        "x": (velocity[0] * inverse_speed)[..., None],
-        "y": (velocity[1] * inverse_speed)[..., None],
-        "inverse_speed": inverse_speed[..., None],
-        "depth": finite_depth(frame.depth)[..., None],
-    }
     spread = parameters.eta * parameters.phi / settings.samples
-    return {
-        "color": color_planes(frame.color),
-        "table": table,
+    depth = finite_depth(frame.depth)
+    local = {
+        "inverse_speed": inverse_speed[..., None],
+        "depth": depth[..., None],
         "jitter": noise.tap.astype(frame.color.dtype)[..., None] * spread,
         "sharpness": parameters.depth_sharpness,
     }
+    weights = {
+        "x": velocity[0] * inverse_speed,
+        "y": velocity[1] * inverse_speed,
+        "inverse_speed": inverse_speed,
+        "depth": depth,
+    }
+    weights = {name: plane.reshape(-1) for name, plane in weights.items()}
+    return local, {"weights": weights, "color": color_planes(frame.color)}
 
 
-def _reconstruct(frame, velocity, speed, dominant, share, terms, parameters, settings):
+def _reconstruct(frame, velocity, speed, dominant, buffers, parameters, settings):
     """Gather along the two directions of every pixel, for one choice of tile (passes 5 to 10)."""
     along, center = _directions(velocity, speed, dominant, parameters.gamma)
     reach = safe_norm(*dominant)
-    alignment = jnp.abs(along[0] * center[0] + along[1] * center[1])
-    operands = terms | {
-        "directions": [(c[..., None], a[..., None]) for c, a in zip(center, along, strict=True)],
-        "alignment": alignment[..., None],
+    local, tables = buffers
+    local = local | {
+        "along": tuple(component[..., None] for component in along),
+        "center": tuple(component[..., None] for component in center),
         "reach": reach[..., None],
-        "share": share[..., None],
     }
     sample = functools.partial(_sample, frame.depth.shape, settings)
-    *colors, weight, count = sum_samples(sample, settings.samples, operands)
+    *colors, weight, count = sum_samples(
+        sample, settings.samples, reach > SPEED_FLOOR, local, tables
+    )
     center_weight = count / (parameters.kappa * floored_speed(speed))
     total = jnp.stack(colors, axis=-1) + center_weight[..., None] * frame.color
     sharp = (reach <= SPEED_FLOOR) | (count == 0)
@@ -235,12 +240,14 @@ def tile_outcomes(
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
     tiles = dominant_velocity(velocity, speed, settings.radius, "reaching")
     velocity = velocity[..., 0], velocity[..., 1]
-    share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
-    terms = _pixel_terms(frame, velocity, speed, noise, parameters, settings)
+    local, tables = _buffers(frame, velocity, speed, noise, parameters, settings)
+    if settings.split == "variance":
+        share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
+        local["share"] = share[..., None]
 
     def blur(tile):
         dominant = tiles[..., 0].reshape(-1)[tile], tiles[..., 1].reshape(-1)[tile]
-        return _reconstruct(frame, velocity, speed, dominant, share, terms, parameters, settings)
+        return _reconstruct(frame, velocity, speed, dominant, (local, tables), parameters, settings)
 
     if settings.tile_choice == "expected":
         indices, chances = reachable_tiles(height, width, settings.radius, parameters.tau)

@@ -41,20 +41,20 @@ class McGuireParameters:
     soft_z_extent: float | jax.Array = 0.1
 
 
-def _sample(size, settings, index, operands):
+def _sample(size, settings, index, local, tables):
     """Weighted color and weight of a tap [listing 1]."""
     # The tap at the pixel itself is left out; the center weight stands for it.
     index = jnp.where(index >= settings.samples // 2, index + 1, index)
-    position = tap_position(index, settings.samples, operands["jitter"])
-    offset_x, offset_y = (position * step for step in operands["dominant"])
+    position = tap_position(index, settings.samples, local["jitter"])
+    offset_x, offset_y = (position * step for step in local["dominant"])
     texels = read_position(offset_x, offset_y, size, settings.border)
     if settings.fetch == "nearest":
         offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
     distance = safe_norm(offset_x, offset_y)
-    depth, inverse_speed = operands["table"]
-    inverse_sample = read_nearest(inverse_speed.reshape(-1), texels.index)
-    depth_sample = read_nearest(depth.reshape(-1), texels.index)
-    in_front, behind = absolute_closeness(depth_sample, depth, operands["soft_z_extent"])
+    depth, inverse_speed = local["depth"], local["inverse_speed"]
+    inverse_sample = read_nearest(tables["inverse_speed"], texels.index)
+    depth_sample = read_nearest(tables["depth"], texels.index)
+    in_front, behind = absolute_closeness(depth_sample, depth, local["soft_z_extent"])
     both = cylinder(distance, inverse_sample) * cylinder(distance, inverse_speed)
     weight = (
         in_front * cone(distance, inverse_sample)
@@ -62,7 +62,7 @@ def _sample(size, settings, index, operands):
         + 2 * both
     )
     weight = jnp.where(texels.counts, weight, 0)
-    colors = read_color(operands["color"], texels, size, settings.fetch)
+    colors = read_color(tables["color"], texels, size, settings.fetch)
     return (*(weight * color for color in colors), weight)
 
 
@@ -110,16 +110,17 @@ def mcguire2012(
     tiles = dominant_velocity(velocity, speed, settings.radius, "all").reshape(-1, 2)
     dominant = tiles[own_tile(height, width, settings.radius)]
     inverse_speed = 1 / floored_speed(speed)
-    operands = {
-        "color": color_planes(frame.color),
-        "table": (finite_depth(frame.depth)[..., None], inverse_speed[..., None]),
+    buffers = {"depth": finite_depth(frame.depth), "inverse_speed": inverse_speed}
+    tables = {name: buffer.reshape(-1) for name, buffer in buffers.items()}
+    local = {name: buffer[..., None] for name, buffer in buffers.items()} | {
         "dominant": (dominant[..., :1], dominant[..., 1:]),
         "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
         "soft_z_extent": jnp.asarray(parameters.soft_z_extent, frame.color.dtype),
     }
+    tables["color"] = color_planes(frame.color)
+    moving = safe_norm(dominant[..., 0], dominant[..., 1]) > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
-    *colors, weight = sum_samples(sample, settings.samples - 1, operands)
+    *colors, weight = sum_samples(sample, settings.samples - 1, moving, local, tables)
     total = jnp.stack(colors, axis=-1) + frame.color * inverse_speed[..., None]
     blurred = total / (weight + inverse_speed)[..., None]
-    still = safe_norm(dominant[..., 0], dominant[..., 1]) <= SPEED_FLOOR
-    return jnp.where(still[..., None], frame.color, blurred)
+    return jnp.where(moving[..., None], blurred, frame.color)

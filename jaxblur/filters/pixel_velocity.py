@@ -13,12 +13,12 @@ from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR
 
 
-def _sample(size, settings, index, operands):
+def _sample(size, settings, index, local, color):
     """Color of a tap on the pixel's own path, and 1 where it counts."""
-    position = tap_position(index, settings.samples, operands["jitter"])
-    velocity_x, velocity_y = operands["velocity"]
+    position = tap_position(index, settings.samples, local["jitter"])
+    velocity_x, velocity_y = local["velocity"]
     texels = read_position(position * velocity_x, position * velocity_y, size, settings.border)
-    colors = read_color(operands["color"], texels, size, settings.fetch)
+    colors = read_color(color, texels, size, settings.fetch)
     counts = texels.counts.astype(position.dtype)
     return (*(counts * color for color in colors), counts)
 
@@ -57,13 +57,13 @@ def pixel_velocity(
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    operands = {
-        "color": color_planes(frame.color),
+    local = {
         "velocity": (velocity[..., :1], velocity[..., 1:]),
         "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
     }
+    moving = speed > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
-    *colors, count = sum_samples(sample, settings.samples, operands)
+    *colors, count = sum_samples(sample, settings.samples, moving, local, color_planes(frame.color))
     mean = jnp.stack(colors, axis=-1) / jnp.maximum(count, 1)[..., None]
-    sharp = (speed <= SPEED_FLOOR) | (count == 0)
-    return jnp.where(sharp[..., None], frame.color, mean)
+    blurred = moving & (count > 0)
+    return jnp.where(blurred[..., None], mean, frame.color)
