@@ -165,7 +165,8 @@ def sum_samples(sample: Sample, count: int, moving: Any, local: Any, tables: Any
 
     Returns:
         A tuple of (H, W) sums, 0 if no pixel moves. Differentiable in both pytrees, forward and
-        reverse, to any order. Derivatives with respect to ``local`` alone cost one more kernel and no scatter.
+        reverse, to any order. Derivatives with respect to ``local`` alone come out of one kernel
+        and need no scatter.
     """
 
     def sums(local: Any, tables: Any) -> Terms:
