@@ -25,7 +25,7 @@ RESULT = FitResult(
     notes={"shutter": 0.5, "preset": "blender"},
     steps=2,
     interrupted=False,
-    loss=(0.5, 1e-17),
+    history={"loss": (0.5, 1e-17), "soft_z_extent": (1.0, 0.25)},
     scores=(
         Score("a", "train", "fitted", "whole", 0.1, 0.2, math.inf, 1.0, 0.0),
         Score("b", "train", "fitted", "whole", 0.3, 0.2, 30.0, 1.0, 0.0),
@@ -79,7 +79,7 @@ def test_mean_scores():
         ("steps = 2", "", "missing key `steps`"),
         ("steps = 2", 'steps = "2"', "`steps` must be int, got '2'"),
         ("interrupted = false", "interrupted = 0", "`interrupted` must be bool, got 0"),
-        ("loss = [0.5, 1e-17]", "loss = 0.5", "`loss` must be list, got 0.5"),
+        ("loss = [0.5, 1e-17]", "loss = 0.5", "`history.loss` must be list, got 0.5"),
         ("soft_z_extent = 0.25", "soft_z_extent = true", "`parameters.soft_z_extent` must be"),
         ("steps = 2", "steps = ", "is no TOML"),
     ],

@@ -105,7 +105,7 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         help="draws of noise in each step (default %(default)s)",
     )
     group.add_argument(
-        "--steps", type=positive_integer, default=150, metavar="N", help="default %(default)s"
+        "--steps", type=positive_integer, default=100, metavar="N", help="default %(default)s"
     )
     group.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of all noise (default %(default)s)"

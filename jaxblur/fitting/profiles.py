@@ -67,7 +67,7 @@ def profile(
     pairs: Sequence[tuple[Frame, Any]],
     name: str,
     *,
-    values: Sequence[float] | None = None,
+    values: Sequence[float] | np.ndarray | None = None,
     refit_steps: int = 0,
     mask: Any = None,
     key: jax.Array | None = None,

@@ -99,7 +99,7 @@ class FitResult:
         notes: what the caller adds, such as how the frames were read.
         steps: number of steps done.
         interrupted: ctrl-C ended the fit; it has no scores and no sensitivity.
-        loss: before each step.
+        history: ``loss`` and the free parameters before each step.
         scores: published against fitted, on the training and the held-out pairs.
         sensitivity: None if interrupted.
         data: the pairs.
@@ -117,7 +117,7 @@ class FitResult:
     notes: dict[str, str | int | float]
     steps: int
     interrupted: bool
-    loss: tuple[float, ...]
+    history: dict[str, tuple[float, ...]]
     scores: tuple[Score, ...]
     sensitivity: Sensitivity | None
     data: tuple[Data, ...]

@@ -17,13 +17,12 @@ import jaxblur
 from ..filters import FILTERS, PUBLISHED
 from ..frame import Frame
 from ..settings import Settings
-from .constraints import constraints_of, starting_values, to_free
+from .constraints import constraints_of, starting_values, to_free, to_values
 from .descent import (
     Progress,
     State,
     Task,
     default_optimizer,
-    descend,
     fingerprint,
     load_state,
     save_state,
@@ -31,6 +30,7 @@ from .descent import (
 from .evaluation import evaluate
 from .losses import Over, Pixel, check_loss
 from .objective import CHOOSES_TILES, NoiseMode, Objective
+from .optimization import optimize
 from .pairs import Pair, make_batches, make_pairs, pixel_weights
 from .result import Data, FitResult, Score
 from .sensitivity import sensitivity
@@ -55,7 +55,7 @@ def fit(
     noise: NoiseMode = "fresh",
     noise_draws: int = 1,
     optimizer: optax.GradientTransformation | None = None,
-    steps: int = 150,
+    steps: int = 100,
     holdout: Sequence[int] = (),
     key: jax.Array | None = None,
     names: Sequence[str] | None = None,
@@ -68,7 +68,7 @@ def fit(
 
     Minimizes the mean error over the training pairs, each counting the same, by gradient descent
     in unconstrained parameters (`jaxblur.fitting.constraints`; tau starts at least 0.05 inside
-    its bounds). The objective is what will run: see ``loss`` and ``noise``. Color is read
+    its bounds), with coarse scans against bad starts (`jaxblur.fitting.optimization`). The objective is what will run: see ``loss`` and ``noise``. Color is read
     bilinearly during the fit if gamma or phi are free, since the nearest texel has no derivative
     in the position of a tap; scores are taken in ``settings`` as they are. Velocity and depth are
     always read at the nearest texel, so that the gradient knows nothing of taps that cross a
@@ -159,7 +159,7 @@ def fit(
         notes=dict(notes or {}),
         steps=len(final.losses),
         interrupted=interrupted,
-        loss=final.losses,
+        history=_history(task, final),
         data=data,
         versions=_versions(),
         **judged,
@@ -282,7 +282,16 @@ def _descend(
         if path is not None:
             save_state(path, reached, mark)
 
-    return descend(task, state, steps, optimizer, callback, save)
+    return optimize(task, state, steps, optimizer, callback, save)
+
+
+def _history(task: Task, final: State) -> dict[str, tuple[float, ...]]:
+    objective = task.objective
+    trail = np.asarray(final.trail).reshape(-1, len(objective.free))
+    values = to_values(objective.filter_name, trail.T, objective.free)
+    return {"loss": final.losses} | {
+        name: tuple(np.asarray(column, float).tolist()) for name, column in values.items()
+    }
 
 
 def _scores(

@@ -1,0 +1,141 @@
+"""A whole optimization: scan, descend, scan again, descend, and a last Newton step or two.
+
+Far from the optimum the loss is flat in some parameters: with much jitter everything is noise,
+and a second direction that turns at once cannot turn any sooner. No descent leaves such a
+plateau, but a coarse scan along each parameter does; a second one, when the other parameters are
+about right, corrects the first. Near the optimum the valleys are narrow, and a first-order
+method creeps along them; with a handful of parameters Newton's method is cheap.
+"""
+
+import dataclasses
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from .constraints import constraints_of
+from .descent import Progress, State, Task, descend
+from .sensitivity import difference_hessian
+
+OFFSETS = (-3.0, -1.5, 1.5, 3.0)
+"""Tried along each unconstrained parameter; 3 is a factor of 20 for a positive one."""
+SWEEPS = 2
+SECOND_SCAN = 1 / 3
+"""Share of the steps after which the scan is repeated."""
+ROUNDS = 4
+LONGEST = 1.0
+SHARES = (1.0, 0.5, 0.25, 0.1)
+
+
+def optimize(
+    task: Task,
+    state: State,
+    steps: int,
+    optimizer: optax.GradientTransformation,
+    callback: Callable[[Progress], None] | None = None,
+    save: Callable[[State], None] | None = None,
+) -> tuple[State, bool]:
+    """Scan and descend, twice; then polish, unless the noise changes from step to step.
+
+    Args:
+        task: what to minimize.
+        state: where to start or to go on.
+        steps: of descent in total, with those already done.
+        optimizer: an optax transformation.
+        callback: told after each step.
+        save: see `descend`.
+
+    Returns:
+        The last state, and whether ctrl-C ended it.
+
+    Raises:
+        FloatingPointError: the loss or its gradient is not finite.
+    """
+    try:
+        for scans, until in enumerate((round(SECOND_SCAN * steps), steps)):
+            if state.scans == scans and len(state.losses) <= until:
+                free = scan_start(task, state.free)
+                moved = bool((free != state.free).any())
+                restarted = optimizer.init(free) if moved else state.optimizer
+                state = dataclasses.replace(state, free=free, optimizer=restarted, scans=scans + 1)
+            state, interrupted = descend(task, state, steps, optimizer, callback, save, until)
+            if interrupted:
+                return state, True
+        if task.objective.noise != "fresh" or not task.objective.draws_noise:
+            state = dataclasses.replace(state, free=polish(task, state.free))
+    except KeyboardInterrupt:
+        if save is not None:
+            save(state)
+        return state, True
+    return state, False
+
+
+def scan_start(task: Task, free: Float[Array, " names"]) -> Float[Array, " names"]:
+    """Move a start along each parameter in turn to the best of a few values.
+
+    Args:
+        task: the fit; the noise of its first step is used throughout.
+        free: the start.
+
+    Returns:
+        A start with no larger loss.
+    """
+    key = task.noise_key(0)
+    best, least = free, float(task.evaluate(free, key)[0])
+    for _ in range(SWEEPS):
+        before = least
+        for index in range(free.size):
+            for candidate in [best.at[index].add(offset) for offset in OFFSETS]:
+                if _at_end(task, candidate, index):
+                    continue
+                loss = float(task.evaluate(candidate, key)[0])
+                if loss < least:
+                    best, least = candidate, loss
+        if least == before:
+            break
+    return best
+
+
+def _at_end(task: Task, free: Float[Array, " names"], index: int) -> bool:
+    name = task.objective.free[index]
+    constraint = constraints_of(task.objective.filter_name)[name]
+    return constraint.at_end(float(constraint.value(free[index])))
+
+
+def polish(task: Task, free: Float[Array, " names"]) -> Float[Array, " names"]:
+    """Take damped Newton steps for as long as they lower the loss.
+
+    Args:
+        task: the fit, with noise that does not change.
+        free: near the optimum.
+
+    Returns:
+        A point with no larger loss.
+    """
+    key = task.noise_key(0)
+    loss, gradient = task.evaluate(free, key)
+    for _ in range(ROUNDS):
+        hessian = difference_hessian(lambda point: np.asarray(task.evaluate(point, key)[1]), free)
+        step = _newton_step(hessian, np.asarray(gradient, np.float64))
+        for share in SHARES:
+            candidate = free + jnp.asarray(share * step, free.dtype)
+            lower, slope = task.evaluate(candidate, key)
+            if lower < loss:
+                break
+        else:
+            return free
+        free, loss, gradient = candidate, lower, slope
+    return free
+
+
+def _newton_step(
+    hessian: Float[np.ndarray, "n n"], gradient: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Downhill in every direction of curvature, no longer than `LONGEST`."""
+    curvatures, directions = np.linalg.eigh(hessian)
+    size = np.abs(curvatures)
+    damped = np.maximum(size, 1e-6 * size.max(initial=1e-30))
+    step = -directions @ ((directions.T @ gradient) / damped)
+    return step * min(1.0, LONGEST / max(float(np.linalg.norm(step)), 1e-30))
