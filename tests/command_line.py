@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jaxblur.cli import main
 
-COMPUTING = ("blur", "demo", "scene")
+COMPUTING = ("blur", "demo", "fit", "scene")
 
 
 class Outcome(NamedTuple):

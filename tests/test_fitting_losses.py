@@ -93,11 +93,11 @@ def test_gradients_equal_finite_differences(pixel):
         np.testing.assert_allclose(jax.grad(loss)(0.0), numeric, rtol=1e-5)
 
 
-def test_gradient_at_equality_is_finite_and_zero():
-    truth = random_image(4)
-    for pixel in PIXEL_LOSSES:
-        slope = jax.grad(lambda a, p=pixel: jnp.sum(pixel_error(p, a, truth)))(jnp.asarray(truth))
-        assert jnp.abs(slope).max() < 1e-3, pixel
+@pytest.mark.parametrize("pixel", PIXEL_LOSSES)
+def test_gradient_at_equality_is_zero(pixel):
+    truth = jnp.asarray(random_image(4))
+    slope = jax.grad(lambda image: jnp.sum(pixel_error(pixel, image, truth)))(truth)
+    assert jnp.abs(slope).max() < 1e-3
 
 
 def test_undefined_combinations_are_refused():

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import os
 import time
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -246,7 +247,8 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
         ValueError: the file holds no state, or that of another fit.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # NumPy leaves a file open that it opened itself and cannot read.
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         found = str(arrays["mark"])
         leaves = [arrays[f"optimizer_{k}"] for k in range(len(arrays) - 5)]
@@ -257,7 +259,7 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
             tuple(tuple(point) for point in arrays["trail"].tolist()),
             int(arrays["scans"]),
         )
-    except (KeyError, ValueError, EOFError) as error:
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path}: holds no state of a fit; start anew.") from error
     if found != mark:
         raise ValueError(

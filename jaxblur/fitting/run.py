@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 
@@ -68,11 +69,12 @@ def fit(
 
     Minimizes the mean error over the training pairs, each counting the same, by gradient descent
     in unconstrained parameters (`jaxblur.fitting.constraints`; tau starts at least 0.05 inside
-    its bounds), with coarse scans against bad starts (`jaxblur.fitting.optimization`). The objective is what will run: see ``loss`` and ``noise``. Color is read
-    bilinearly during the fit if gamma or phi are free, since the nearest texel has no derivative
-    in the position of a tap; scores are taken in ``settings`` as they are. Velocity and depth are
-    always read at the nearest texel, so that the gradient knows nothing of taps that cross a
-    silhouette: `jaxblur.fitting.profile` shows whether that matters for the frames at hand.
+    its bounds), with coarse scans against bad starts (`jaxblur.fitting.optimization`). The
+    objective is what will run: see ``loss`` and ``noise``. Color is read bilinearly during the
+    fit if gamma, eta or phi are free, since the nearest texel has no derivative in the position
+    of a tap; scores are taken in ``settings`` as they are. Velocity and depth are always read at
+    the nearest texel, so that the gradient knows nothing of taps that cross a silhouette:
+    `jaxblur.fitting.profile` shows whether that matters for the frames at hand.
 
     Args:
         filter: a key of `jaxblur.FILTERS`, or one of its functions.
@@ -287,7 +289,7 @@ def _descend(
 
 def _history(task: Task, final: State) -> dict[str, tuple[float, ...]]:
     objective = task.objective
-    trail = np.asarray(final.trail).reshape(-1, len(objective.free))
+    trail = jnp.asarray(final.trail).reshape(-1, len(objective.free))
     values = to_values(objective.filter_name, trail.T, objective.free)
     return {"loss": final.losses} | {
         name: tuple(np.asarray(column, float).tolist()) for name, column in values.items()

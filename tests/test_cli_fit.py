@@ -1,0 +1,160 @@
+"""``jaxblur fit``, and ``jaxblur blur --parameters`` with what it wrote."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import exr
+from tests.command_line import refused, run, spawn
+from tests.exr_files import CAR, CUBE, DATA, plain_frame, write_single
+
+SMALL = ("--crop", "48x32+60+40", "--samples", "5", "--radius", "20", "--steps", "3")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A fit of a small part of one frame, with another held out."""
+    out = tmp_path_factory.mktemp("fit") / "fitted.toml"
+    outcome = run(
+        *("fit", CAR, CUBE, "--truth", DATA / "cube_over_crates_truth_0011.exr"),
+        *(DATA / "sky_car_truth_0011.exr", "--holdout", "sky_car*", "-o", out),
+        *("--free", "kappa,depth_sharpness", "--param", "gamma=2", *SMALL),
+    )
+    assert outcome.status == 0, outcome
+    return out, outcome
+
+
+def test_it_fits_reports_and_writes(fitted):
+    out, outcome = fitted
+    result = jaxblur.FitResult.load(out)
+    assert result.steps == 3 and result.free == ("kappa", "depth_sharpness")
+    assert [(d.name.rpartition("/")[2], d.part) for d in result.data] == [
+        (CUBE.name, "train"),
+        (CAR.name, "held-out"),
+    ]
+    assert result.settings["samples"] == 5 and result.notes["preset"] == "blender"
+    assert result.parameters["gamma"] == 2 and result.published["gamma"] == 1.5
+    assert result.history["loss"][-1] < result.history["loss"][0]
+    assert f"{out}\n" in outcome.out
+    for words in ("held-out", "published", "± standard error", "held"):
+        assert words in outcome.out
+    for step in (1, 2, 3):
+        assert f"step {step}/3 loss" in outcome.err
+    assert "minimized: mse error expected over the stochastic choice of tile" in outcome.err
+    assert [entry.name for entry in out.parent.iterdir()] == ["fitted.toml"], "no state is left"
+
+
+def test_blur_uses_filter_parameters_and_settings_and_options_override(fitted, tmp_path):
+    result = jaxblur.FitResult.load(fitted[0])
+    first, second = tmp_path / "first.exr", tmp_path / "second.exr"
+    assert run("blur", CAR, "-o", first, "--parameters", fitted[0]).status == 0
+    expected = jaxblur.guertin2014(
+        jaxblur.read_frame(CAR), result.filter_parameters, settings=result.filter_settings
+    )
+    half = np.asarray(expected).astype(np.float16).astype(np.float32)
+    np.testing.assert_array_equal(exr.read_image(first), half)
+
+    overrides = ("--param", "kappa=5", "--samples", "7")
+    outcome = run("blur", CAR, "-o", second, "--parameters", fitted[0], *overrides)
+    assert outcome.status == 0
+    attributes = exr.inspect(second).parts[0].attributes
+    parameters = tomllib.loads(attributes["jaxblur:parameters"])
+    assert parameters == result.parameters | {"kappa": 5}
+    settings = tomllib.loads(attributes["jaxblur:settings"])
+    assert (settings["samples"], settings["radius"]) == (7, 20)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ('filter = "guertin2014"', 'filter = "box"', "no filter 'box'"),
+        ("schema = 1", "schema = 9", "`schema` must be 1, got 9"),
+        ("gamma = 2.0", "gamma = -2.0", "gamma must be above 0, got -2"),
+        ("steps = 3", "steps = 3\nstep = 4", "unknown key `step`"),
+    ],
+)
+def test_blur_refuses_a_bad_parameter_file(fitted, tmp_path, old, new, match):
+    path = tmp_path / "bad.toml"
+    text = fitted[0].read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    assert match in refused("blur", CAR, "-o", tmp_path / "o.exr", "--parameters", path)
+
+
+def test_blur_refuses_the_parameters_of_another_filter(fitted, tmp_path):
+    given = ("--parameters", fitted[0], "--filter", "mcguire2012")
+    error = refused("blur", CAR, "-o", tmp_path / "o.exr", *given)
+    assert "holds parameters of guertin2014; leave out --filter mcguire2012" in error
+
+
+TRUTH = DATA / "sky_car_truth_0011.exr"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ((CAR, CUBE, "--truth", TRUTH), "--truth: 1 files for 2 frames"),
+        ((CAR, CAR, "--truth", TRUTH, TRUTH), "is given twice"),
+        ((CAR, "--truth", "{name}.exr"), "'{name}.exr' does not apply to"),
+        ((CAR, "--truth", "none_{number}.exr"), "none_0011.exr"),
+        ((CAR, "--truth", TRUTH, "--holdout", "truck*"), "--holdout: no frame matches 'truck*'"),
+        ((CAR, "--truth", TRUTH, "--holdout", "sky*"), "at least one pair that is not held out"),
+        ((CAR, "--truth", TRUTH, "--free", "eta,phi"), "must not hold both eta and phi"),
+        ((CAR, "--truth", TRUTH, "--free", "speed"), "has no parameter 'speed'"),
+        ((CAR, "--truth", TRUTH, "--crop", "9x9"), "expected WxH+X+Y"),
+        ((CAR, "--truth", TRUTH, "--crop", "9000x9+0+0"), "--crop: reaches beyond"),
+        ((CAR, "--truth", TRUTH, "--param", "tau=2"), "tau must be 0 to 1, got 2"),
+        ((CAR, "--truth", TRUTH, "--steps", "0"), "expected a whole number from 1"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, arguments, match):
+    out = tmp_path / "fitted.toml"
+    assert match in refused("fit", *arguments, "-o", out)
+    assert not list(tmp_path.iterdir())
+
+
+def test_outputs_are_checked_first(tmp_path):
+    given = ("fit", CAR, "--truth", TRUTH, "-o")
+    assert "can write .toml only" in refused(*given, tmp_path / "fitted.json")
+    assert "create it first" in refused(*given, tmp_path / "missing" / "fitted.toml")
+    (tmp_path / "fitted.toml").touch()
+    assert "pass --overwrite to replace it" in refused(*given, tmp_path / "fitted.toml")
+
+
+def test_a_truth_of_another_size_is_refused(tmp_path):
+    frame = write_single(tmp_path / "frame.exr", plain_frame((12, 16)))
+    error = refused("fit", frame, "--truth", TRUTH, "-o", tmp_path / "fitted.toml")
+    assert "the truth has" in error and f"but {frame} has 16x12" in error
+
+
+def test_mistakes_are_found_without_jax(tmp_path):
+    code = (
+        "import sys; from jaxblur.cli import main; "
+        f"status = main(['fit', {str(CAR)!r}, '--truth', 'a', 'b', '-o', 'x.toml']); "
+        "print(status, 'jax' in sys.modules)"
+    )
+    assert spawn(code=code).stdout.split() == ["2", "False"]
+
+
+def test_ctrl_c_saves_and_resume_goes_on(tmp_path, monkeypatch):
+    from jaxblur.fitting import descent
+
+    out, state = tmp_path / "fitted.toml", tmp_path / "fitted.state.npz"
+    command = ("fit", CAR, "--truth", TRUTH, "-o", out, "--free", "kappa", *SMALL, "--resume")
+    take = descent._take_step
+
+    def interrupted(task, reached, step, update):
+        if step == 2:
+            raise KeyboardInterrupt
+        return take(task, reached, step, update)
+
+    monkeypatch.setattr(descent, "_take_step", interrupted)
+    outcome = run(*command)
+    assert outcome.status == 130 and "stopped after 2 steps; --resume goes on" in outcome.err
+    assert state.exists() and not out.exists()
+    monkeypatch.undo()
+    outcome = run(*command)
+    assert outcome.status == 0 and "step 3/3" in outcome.err and "step 2/3" not in outcome.err
+    assert out.exists() and not state.exists()
