@@ -217,7 +217,7 @@ def tile_variance(tiles: ArrayLike) -> Float[Array, "rows columns"]:
     tiles = _vectors("tiles", tiles)
     x, y = safe_normalize(tiles[..., 0], tiles[..., 1])
     still = (x == 0) & (y == 0)
-    aligned, count = 0.0, 0.0
+    aligned, count = jnp.zeros_like(x), jnp.zeros_like(x)
     for offset in RING:
         dot = jnp.abs(x * _shifted(x, offset, 0.0) + y * _shifted(y, offset, 0.0))
         dot = jnp.where(still | _shifted(still, offset, False), 1, dot)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.test_util import check_grads
+from jax.typing import DTypeLike
 
 import jaxblur
 
@@ -16,7 +17,9 @@ SHAPES = ((13, 17), (24, 32), (7, 41), (1, 9), (1, 1))
 """Ragged and whole tiles, rows, single pixels."""
 
 
-def random_frame(shape, seed=0, speed=9.0, channels=3, dtype=np.float32, sky=0.1, still=0.2):
+def random_frame(
+    shape, seed=0, speed=9.0, channels=3, dtype: DTypeLike = "float32", sky=0.1, still=0.2
+):
     """Random color, depth (a share of it sky) and velocity (a share of it zero)."""
     generator = np.random.default_rng(seed)
     height, width = shape
@@ -31,7 +34,7 @@ def random_frame(shape, seed=0, speed=9.0, channels=3, dtype=np.float32, sky=0.1
     )
 
 
-def random_noise(shape, seed=1, dtype=np.float32):
+def random_noise(shape, seed=1, dtype: DTypeLike = "float32"):
     """Uniform noise in the ranges that `jaxblur.Noise` states."""
     generator = np.random.default_rng(seed)
     return jaxblur.Noise(

@@ -106,8 +106,10 @@ def kink_frames():
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_value_and_gradients_are_finite_at_every_kink(name):
-    for choice, fetch in (("stochastic", "bilinear"), ("expected", "nearest")):
-        settings = jaxblur.Settings(samples=5, radius=4, fetch=fetch, tile_choice=choice)
+    for settings in (
+        jaxblur.Settings(samples=5, radius=4, fetch="bilinear"),
+        jaxblur.Settings(samples=5, radius=4, tile_choice="expected"),
+    ):
         function = blur(name, settings, None)
 
         @jax.jit
@@ -119,7 +121,7 @@ def test_value_and_gradients_are_finite_at_every_kink(name):
 
         for kink, frame in kink_frames().items():
             for leaf in jax.tree.leaves(both_modes(frame)):
-                assert jnp.isfinite(leaf).all(), (kink, choice)
+                assert jnp.isfinite(leaf).all(), (kink, settings)
 
 
 def test_gradients_survive_debug_nans_vmap_and_checkpoint():
@@ -146,6 +148,6 @@ def test_gradient_of_parameters_alone_scatters_nothing():
         parameters = fields(jaxblur.GuertinParameters(kappa=kappa))
         return jnp.sum(function(frame.color, frame.depth, frame.velocity, parameters))
 
-    program = jax.jit(jax.grad(loss)).lower(40.0).compile().as_text()
+    program = str(jax.jit(jax.grad(loss)).lower(40.0).compile().as_text())
     assert " scatter(" not in program
     assert " gather(" in program

@@ -76,17 +76,19 @@ def test_bilinear_lookup_meets_tile_centers_and_stays_constant_outside():
 @pytest.mark.parametrize("tau", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("shape", [(13, 17), (5, 5), (1, 12)])
 def test_tile_lookup_equals_plain_loops(shape, tau):
-    radius, generator = 5, np.random.default_rng(3)
-    rows, columns = -(-shape[0] // radius), -(-shape[1] // radius)
+    (height, width), radius, generator = shape, 5, np.random.default_rng(3)
+    rows, columns = -(-height // radius), -(-width // radius)
     xi = generator.uniform(-0.5, 0.5, (*shape, 2)).astype(np.float32)
     drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))
-    index, chance = reachable_tiles(*shape, radius, jnp.float32(tau))
-    for place in np.ndindex(shape):
-        tile = plain_loops.chosen_tile(*place, xi[place], tau, radius, rows, columns)
+    index, chance = reachable_tiles(height, width, radius, jnp.float32(tau))
+    grid = (tau, radius, rows, columns)
+    for row, column in np.ndindex(*shape):
+        place = (row, column)
+        tile = plain_loops.chosen_tile(row, column, xi[place], *grid)
         assert drawn[place] == tile[0] * columns + tile[1]
         expected = np.zeros(rows * columns)
-        for probability, (row, column) in plain_loops.reachable(*place, tau, radius, rows, columns):
-            expected[row * columns + column] += probability
+        for probability, (y, x) in plain_loops.reachable(row, column, *grid):
+            expected[y * columns + x] += probability
         actual = np.zeros(rows * columns)
         np.add.at(actual, np.asarray(index)[:, *place], np.asarray(chance)[:, *place])
         np.testing.assert_allclose(actual, expected, atol=1e-6)

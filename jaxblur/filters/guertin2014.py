@@ -237,6 +237,7 @@ def tile_outcomes(
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+    tau = jnp.asarray(parameters.tau)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
     tiles = dominant_velocity(velocity, speed, settings.radius, "reaching")
     velocity = velocity[..., 0], velocity[..., 1]
@@ -250,10 +251,10 @@ def tile_outcomes(
         return _reconstruct(frame, velocity, speed, dominant, (local, tables), parameters, settings)
 
     if settings.tile_choice == "expected":
-        indices, chances = reachable_tiles(height, width, settings.radius, parameters.tau)
+        indices, chances = reachable_tiles(height, width, settings.radius, tau)
         return lax.map(blur, indices), chances
     if settings.tile_choice == "own":
         tile = own_tile(height, width, settings.radius)
     else:
-        tile = stochastic_tile(noise.tile, parameters.tau, settings.radius)
+        tile = stochastic_tile(noise.tile, tau, settings.radius)
     return blur(tile)[None], jnp.ones((1, height, width), frame.color.dtype)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -111,7 +112,7 @@ def mcguire2012(
     dominant = tiles[own_tile(height, width, settings.radius)]
     inverse_speed = 1 / floored_speed(speed)
     buffers = {"depth": finite_depth(frame.depth), "inverse_speed": inverse_speed}
-    tables = {name: buffer.reshape(-1) for name, buffer in buffers.items()}
+    tables: dict[str, Any] = {name: buffer.reshape(-1) for name, buffer in buffers.items()}
     local = {name: buffer[..., None] for name, buffer in buffers.items()} | {
         "dominant": (dominant[..., :1], dominant[..., 1:]),
         "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
