@@ -22,6 +22,8 @@ from .sensitivity import difference_hessian
 OFFSETS = (-3.0, -1.5, 1.5, 3.0)
 """Tried along each unconstrained parameter; 3 is a factor of 20 for a positive one."""
 SWEEPS = 2
+WORTHWHILE = 0.002
+"""Share of the loss that a scanned value must save: less would only lead onto a plateau."""
 SECOND_SCAN = 1 / 3
 """Share of the steps after which the scan is repeated."""
 ROUNDS = 4
@@ -91,7 +93,7 @@ def scan_start(task: Task, free: Float[Array, " names"]) -> Float[Array, " names
                 if _at_end(task, candidate, index):
                     continue
                 loss = float(task.evaluate(candidate, key)[0])
-                if loss < least:
+                if loss < (1 - WORTHWHILE) * least:
                     best, least = candidate, loss
         if least == before:
             break

@@ -11,8 +11,9 @@ from jaxtyping import Float
 
 from ..frame import Frame
 from .constraints import constraints_of, to_free, to_values
-from .descent import State, Task, default_optimizer, descend
+from .descent import Task
 from .objective import Objective
+from .optimization import polish
 from .pairs import make_batches, make_pairs, pixel_weights
 from .result import FitResult
 
@@ -29,15 +30,14 @@ class Profile:
         fitted: its fitted value.
         values: where the loss was evaluated, ascending.
         losses: at the values.
-        refit_steps: steps by which the other free parameters were fitted anew at each value; 0
-            if they were held.
+        refitted: the other free parameters were fitted anew at each value, not held.
     """
 
     name: str
     fitted: float
     values: Float[np.ndarray, " points"]
     losses: Float[np.ndarray, " points"]
-    refit_steps: int
+    refitted: bool
 
     @property
     def best(self) -> float:
@@ -56,7 +56,7 @@ class Profile:
         axes = figure.subplots()
         axes.plot(self.values, self.losses, marker="o", markersize=3)
         axes.axvline(self.fitted, linestyle="--", color="gray", label=f"fitted {self.fitted:.4g}")
-        others = f"refitted, {self.refit_steps} steps" if self.refit_steps else "held"
+        others = "refitted" if self.refitted else "held"
         axes.set(xlabel=self.name, ylabel="loss", title=f"Other parameters {others}")
         axes.legend()
         figure.savefig(path)
@@ -68,22 +68,23 @@ def profile(
     name: str,
     *,
     values: Sequence[float] | np.ndarray | None = None,
-    refit_steps: int = 0,
+    refit: bool = False,
     mask: Any = None,
     key: jax.Array | None = None,
 ) -> Profile:
     """Scan the loss of a fit along one of its free parameters.
 
     By default the other parameters are held at their fitted values, which shows the curvature
-    along one axis; with ``refit_steps`` they are fitted anew at each value, which shows what the
-    data says about the parameter whatever the others are. Noise is the same at all values.
+    along one axis; with ``refit`` they are fitted anew at each value, by a few Newton steps, which
+    shows what the data says about the parameter whatever the others are. Noise is the same at all
+    values.
 
     Args:
         result: of a fit.
         pairs: the training pairs.
         name: a free parameter of the fit.
         values: to evaluate; 11 around the fitted one, a factor e to either side, if None.
-        refit_steps: optimizer steps for the others at each value.
+        refit: fit the others anew at each value.
         mask: as in `fit`.
         key: seed of the noise.
 
@@ -104,8 +105,8 @@ def profile(
     batches = make_batches(checked, pixel_weights(checked, mask, objective.pixel))
     task = Task(objective, {}, batches, jax.random.key(0) if key is None else key)
     scanned = np.sort(_around(result, name) if values is None else np.asarray(values, float))
-    losses = [_loss_at(task, result, name, value, refit_steps) for value in scanned.tolist()]
-    return Profile(name, result.parameters[name], scanned, np.asarray(losses), refit_steps)
+    losses = [_loss_at(task, result, name, value, refit) for value in scanned.tolist()]
+    return Profile(name, result.parameters[name], scanned, np.asarray(losses), refit)
 
 
 def _objective(result: FitResult) -> Objective:
@@ -130,16 +131,15 @@ def _around(result: FitResult, name: str) -> np.ndarray:
     )
 
 
-def _loss_at(task: Task, result: FitResult, name: str, value: float, refit_steps: int) -> float:
+def _loss_at(task: Task, result: FitResult, name: str, value: float, refit: bool) -> float:
     constraints_of(result.filter)[name].start(value)
     at = result.parameters | {name: value}
-    others = tuple(other for other in result.free if other != name) if refit_steps else result.free
+    others = tuple(other for other in result.free if other != name) if refit else result.free
     fixed = {k: v for k, v in at.items() if k not in others}
     held = dataclasses.replace(
         task, objective=dataclasses.replace(task.objective, free=others), fixed=fixed
     )
     free = to_free(result.filter, at, others)
-    if refit_steps:
-        optimizer = default_optimizer(refit_steps)
-        free = descend(held, State(free, optimizer.init(free)), refit_steps, optimizer)[0].free
+    if refit and others:
+        free = polish(held, free)
     return float(held.evaluate(free, held.noise_key(0))[0])
