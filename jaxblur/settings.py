@@ -9,6 +9,9 @@ Fetch = Literal["nearest", "bilinear"]
 TileChoice = Literal["stochastic", "own", "expected"]
 Split = Literal["even", "variance"]
 NoiseKind = Literal["ign", "halton", "none"]
+Directions = Literal["two", "one"]
+DirectionWeights = Literal["on", "off"]
+DiagonalTiles = Literal["reaching", "all"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -30,6 +33,12 @@ class Settings:
         split: how taps are shared between the two directions of Guertin 2014: ``even`` half and
             half, ``variance`` by the angular variance of the tile's ring (eq. 3.2).
         noise: built-in noise used when none is passed: interleaved gradient noise, Halton, none.
+        directions: ``one`` sends every tap of Guertin 2014 along the dominant velocity, for
+            scenes in which neighbors move alike.
+        direction_weights: ``off`` leaves out how well a velocity agrees with the direction of the
+            tap in the weights of Guertin 2014.
+        diagonal_tiles: which diagonal tiles Guertin 2014 counts in the dominant velocity:
+            those whose velocity is ``reaching`` the tile (section 3.4.4), or ``all``.
 
     Raises:
         ValueError: a setting is out of range or unknown.
@@ -42,6 +51,9 @@ class Settings:
     tile_choice: TileChoice = "stochastic"
     split: Split = "even"
     noise: NoiseKind = "ign"
+    directions: Directions = "two"
+    direction_weights: DirectionWeights = "on"
+    diagonal_tiles: DiagonalTiles = "reaching"
 
     def __post_init__(self):
         for name in ("samples", "radius"):
@@ -63,4 +75,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "tile_choice": typing.get_args(TileChoice),
     "split": typing.get_args(Split),
     "noise": typing.get_args(NoiseKind),
+    "directions": typing.get_args(Directions),
+    "direction_weights": typing.get_args(DirectionWeights),
+    "diagonal_tiles": typing.get_args(DiagonalTiles),
 }

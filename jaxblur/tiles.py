@@ -119,7 +119,9 @@ def _shifted(tiles: jax.Array, offset: tuple[int, int], fill: float | bool) -> j
 
 
 def neighbor_argmax(
-    tiles: Float[Array, "rows columns 2"], speed: Float[Array, "rows columns"], diagonal: str
+    tiles: Float[Array, "rows columns 2"],
+    speed: Float[Array, "rows columns"],
+    diagonal: str,
 ) -> Int[Array, "rows columns"]:
     """Row-major index of the tile of the 3 x 3 ring whose velocity dominates.
 

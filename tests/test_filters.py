@@ -54,6 +54,9 @@ VARIANTS = [
     ("guertin2014", (7, 11), {"radius": 1}),
     ("guertin2014", (7, 11), {"radius": 50, "samples": 4, "border": "clamp"}),
     ("guertin2014", (7, 11), {"samples": 1}),
+    ("guertin2014", (13, 17), {"directions": "one"}),
+    ("guertin2014", (13, 17), {"direction_weights": "off"}),
+    ("guertin2014", (13, 17), {"diagonal_tiles": "all", "radius": 3}),
     *((name, shape, {}) for name in ("mcguire2012", "pixel_velocity") for shape in SHAPES),
     *(
         (name, (13, 17), {"border": border, "fetch": fetch})

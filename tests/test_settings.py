@@ -17,6 +17,9 @@ from tests.helpers import random_frame
         ({"tile_choice": "all"}, "`tile_choice` must be one of"),
         ({"split": "odd"}, "`split` must be one of"),
         ({"noise": "blue"}, "`noise` must be one of"),
+        ({"directions": "three"}, "`directions` must be one of"),
+        ({"direction_weights": "half"}, "`direction_weights` must be one of"),
+        ({"diagonal_tiles": "none"}, "`diagonal_tiles` must be one of"),
     ],
 )
 def test_settings_refuse(change, message):

@@ -65,6 +65,8 @@ class GuertinParameters:
 
 def _to_second_direction(index, settings, local):
     """Whether tap i goes to the second direction: every odd one, or `share` of N, interleaved."""
+    if settings.directions == "one":
+        return jnp.zeros_like(index, bool)
     if settings.split == "even":
         return index % 2 == 1
     taps = jnp.round(local["share"] * settings.samples)
@@ -73,23 +75,25 @@ def _to_second_direction(index, settings, local):
     )
 
 
-def _weight(distance, second, direction, sample, local):
+def _weight(distance, along_pixel, along_sample, sample, local):
     """Weight of one tap (pass 8 of the specification, Annexe I with departures 1 and 4).
 
     ``f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)``
     """
     in_front, behind = relative_closeness(sample["depth"], local["depth"], local["sharpness"])
-    center = local["center"]
-    along_pixel = jnp.where(
-        second, 1, jnp.abs(center[0] * local["along"][0] + center[1] * local["along"][1])
-    )
-    along_sample = jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
     slower = jnp.maximum(sample["inverse_speed"], local["inverse_speed"])
     return (
         in_front * cone(distance, sample["inverse_speed"]) * along_sample
         + behind * cone(distance, local["inverse_speed"]) * along_pixel
         + 2 * cylinder(distance, slower) * jnp.maximum(along_pixel, along_sample)
     )
+
+
+def _alignment(second, direction, sample, local):
+    """How well the pixel (wA) and the sample (wB) move along the direction of the tap."""
+    center, along = local["center"], local["along"]
+    along_pixel = jnp.where(second, 1, jnp.abs(center[0] * along[0] + center[1] * along[1]))
+    return along_pixel, jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
 
 
 def _sample(size, settings, index, local, tables):
@@ -102,7 +106,10 @@ def _sample(size, settings, index, local, tables):
     along = position * local["reach"]
     texels = read_position(along * direction[0], along * direction[1], size, settings.border)
     read = {name: read_nearest(plane, texels.index) for name, plane in tables["weights"].items()}
-    weight = _weight(jnp.abs(along), second, direction, read, local)
+    alignment = (1, 1)
+    if settings.direction_weights == "on":
+        alignment = _alignment(second, direction, read, local)
+    weight = _weight(jnp.abs(along), *alignment, read, local)
     weight = jnp.where(texels.counts, weight, 0)
     colors = read_color(tables["color"], texels, size, settings.fetch)
     return (*(weight * color for color in colors), weight, texels.counts.astype(weight.dtype))
@@ -239,7 +246,7 @@ def tile_outcomes(
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     tau = jnp.asarray(parameters.tau)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    tiles = dominant_velocity(velocity, speed, settings.radius, "reaching")
+    tiles = dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles)
     velocity = velocity[..., 0], velocity[..., 1]
     local, tables = _buffers(frame, velocity, speed, noise, parameters, settings)
     if settings.split == "variance":

@@ -177,6 +177,8 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
         distance = abs(t) * reach
         w_a = abs(center @ direction)
         w_b = abs(sample @ direction) / floored(sample)
+        if settings["direction_weights"] == "off":
+            w_a = w_b = 1
         k = parameters["depth_sharpness"]
         front = closer(depth[texel], depth[row, column], k)
         behind = closer(depth[row, column], depth[texel], k)
@@ -201,13 +203,17 @@ def guertin2014(color, depth, velocity, parameters, settings, tap, tile):
     color, depth = color.astype(np.float64), depth.astype(np.float64)
     radius, height, width = settings["radius"], *depth.shape
     velocity = clamp(velocity, radius)
-    tiles = neighbor_max(tile_max(velocity, radius))
+    tiles = neighbor_max(tile_max(velocity, radius), settings["diagonal_tiles"] == "reaching")
     rows, columns = tiles.shape[:2]
     variance = tile_variance(tiles)
     out = np.zeros_like(color)
 
     def pixel(row, column, which):
-        if settings["split"] == "even":
+        if settings["directions"] == "one":
+
+            def to_center(i):
+                return False
+        elif settings["split"] == "even":
 
             def to_center(i):
                 return i % 2 == 1
