@@ -13,6 +13,8 @@ from .motion import Camera as Camera
 from .motion import Motion as Motion
 from .motion import camera as camera
 from .motion import rigid as rigid
+from .motion_paths import MotionPathStatistics as MotionPathStatistics
+from .motion_paths import motion_paths as motion_paths
 from .rendering import displacement as displacement
 from .rendering import object_ids as object_ids
 from .rendering import render as render
@@ -23,3 +25,4 @@ from .scene import Wave as Wave
 from .scene import daylight as daylight
 from .scene import make_scene as make_scene
 from .shutter import shutter_curve as shutter_curve
+from .stochastic import stochastic as stochastic

@@ -138,10 +138,9 @@ def negative_bits(
     # The form without cancellation; it gives the root of a linear function too.
     larger = -0.5 * (c1 + jnp.where(c1 < 0, -root, root))
     roots = [larger / c2, c0 / jnp.where(larger == 0, 1.0, larger)]
-    early, late = (
-        bits_before(bit_at(clock, piece, order(*roots), bits), bits)
-        for order in (jnp.minimum, jnp.maximum)
-    )
+    moments = jnp.stack([jnp.minimum(*roots), jnp.maximum(*roots)])
+    moments = jax.lax.optimization_barrier(bit_at(clock, piece, moments, bits))
+    early, late = (bits_before(moment, bits) for moment in moments)
     between = late & ~early
     split = jnp.where(c2 < 0, ~between, between)
     constant = jnp.where(c0 < 0, jnp.uint32(FULL), jnp.uint32(0))
@@ -253,9 +252,11 @@ def _intervals(
     swept: Swept, owner: Array, ray: Array, clock: Clock, piece: Array, bits: int
 ) -> Intervals:
     """Intervals of pairs of a triangle and a ray; the masks of most are empty."""
-    polynomials = edge_polynomials(swept, owner, ray)
+    # Kept apart: fused, the reads would be done again for every word of the mask.
+    polynomials = jax.lax.optimization_barrier(edge_polynomials(swept, owner, ray))
     forward = swept.forward[:, owner]
     mask = covered_bits(polynomials, forward, swept.closed[owner], clock, piece, bits)
+    mask = jax.lax.optimization_barrier(mask)
     first, last = first_and_last_bit(mask)
 
     def depth(bit: Array) -> Array:

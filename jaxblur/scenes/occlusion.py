@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, UInt32
 
-from .intervals import UNUSED, WORD, Intervals, nearer_bits
+from .intervals import FULL, UNUSED, WORD, Intervals, nearer_bits
 
 LANES = 512
 
@@ -107,13 +107,17 @@ def _walk_lanes(
             before = nearer_bits(line - lines[j], bits)
             return mask & ~(own[j] & ~before), own.at[j].set(own[j] & ~(mask & before))
 
-        mask, own = jax.lax.fori_loop(0, k, meet, (mask, own))
+        # Only where depths overlap may what came earlier lie behind; pairs are looked at there.
+        tangled = here & (intervals.nearest[place] < reach) & jnp.any(mask & taken, axis=0)
+        mask = jnp.where(tangled, mask, mask & ~taken)
+        pairs = jnp.where(jnp.any(tangled), k, 0)
+        mask, own = jax.lax.fori_loop(0, pairs, meet, (mask, own))
         own, lines = own.at[k].set(mask), lines.at[k].set(line)
         taken = taken | mask
         reach = jnp.where(here, jnp.maximum(reach, intervals.farthest[place]), reach)
         # The mask is full, and what comes next lies behind all that has been seen.
         following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
-        full = jnp.all(taken == jnp.uint32(0xFFFFFFFF), axis=0) & (following >= reach)
+        full = jnp.all(taken == jnp.uint32(FULL), axis=0) & (following >= reach)
         return k + 1, done | full | (k + 1 >= length), taken, reach, own, lines
 
     start = (

@@ -1,5 +1,6 @@
 """Colors of visible time ranges: texture averaged along the path of a pixel over a surface."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -114,7 +115,9 @@ def shade_paths(
     return total / (WORD * seen.shape[0] * pieces)
 
 
-def _add_chunks(total: Array, masks: Array, color) -> Array:
+def _add_chunks(
+    total: Array, masks: Array, color: Callable[[Array, Array], tuple[Array, Array]]
+) -> Array:
     """Shade what has bits, `POINTS` at a time, and add it to its pixels."""
     count = masks.shape[1]
     there = jnp.any(masks != 0, axis=0)
@@ -140,7 +143,7 @@ def _path_color(
     ray = view.ray[:, pixel]
     polynomials = edge_polynomials(view.swept, owner, ray)
     forward = view.swept.forward[:, owner]
-    corners = [world.texture[triangle, i].T for i in range(3)]
+    corners = jnp.stack([world.texture[triangle, i].T for i in range(3)])
     middle = share_at(view.clock, span.piece, span.moment(0.5), span.bits)
     copies, pose = own_copies(world, view.poses, span.piece, triangle, middle)
     own = jnp.arange(owner.shape[0])
@@ -149,7 +152,7 @@ def _path_color(
     def texture(part: Array | float) -> Array:
         share = share_at(view.clock, span.piece, span.moment(part), span.bits)
         weights = corner_weights(edge_values(polynomials, share), forward)
-        return sum(jnp.clip(weights[i], 0.0, 1.0) * corners[i] for i in range(3))
+        return jnp.einsum("in,ixn->xn", jnp.clip(weights, 0.0, 1.0), corners)
 
     def read(start: Array, end: Array) -> Array:
         # Boxes of the same variance as the pixel's footprint swept along the path.
@@ -178,7 +181,13 @@ def _sky_color(world: World, view: View, pixel: Array, span: _Range, texture_sam
     return _sum_parts(span, direction, read, steps, texture_samples)
 
 
-def _sum_parts(span: _Range, path, read, steps: Array, most: int) -> Array:
+def _sum_parts(
+    span: _Range,
+    path: Callable[[Array | float], Array],
+    read: Callable[[Array, Array], Array],
+    steps: Array,
+    most: int,
+) -> Array:
     """Sum what is read along a path over its parts, weighted by the bits in each."""
     parts = jnp.clip(jnp.ceil(jnp.max(jnp.where(span.length > 0, steps, 0.0))), 1, most)
 

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .exposure import subpixel_offsets
 from .keyframes import (
     LightTable,
     camera_rotations,
@@ -46,7 +45,7 @@ class Strata(NamedTuple):
 
     Attributes:
         light: (S, Q + 1) share of the light at the ends of each stratum's pieces of time.
-        offsets: (S, 2) x and y in the pixel before they are shifted per pixel, in pixels.
+        offsets: (S, 2) x and y in the pixel in [0, 1), before they are shifted per pixel.
         center: () frames.
         shutter: () frames.
         table: light against time.
@@ -88,7 +87,7 @@ def stochastic(
 
     The light that the shutter lets through is divided into `samples` equal strata. In each of
     them every pixel has a time of its own, uniformly random within the stratum, and a place of
-    its own within the pixel: a point of the R2 sequence, shifted by a random vector per pixel.
+    its own within the pixel: a point of the Halton sequence, shifted by a random vector per pixel.
     Coverage is analytic: the edge functions of the moving triangles are evaluated at the pixel's
     own time, and the surface that is nearest then is shaded at that time. Errors show as noise
     and not as ghosts, and the mean over seeds is the true image.
@@ -129,7 +128,7 @@ def stochastic(
     light = np.arange(samples)[:, None] + np.linspace(0, 1, per_stratum + 1)
     strata = Strata(
         jnp.asarray(light / samples, jnp.float32),
-        jnp.asarray(subpixel_offsets(samples), jnp.float32),
+        jnp.asarray(_halton(samples), jnp.float32),
         jnp.float32(center),
         jnp.float32(shutter),
         light_table(shutter_function),
@@ -141,6 +140,22 @@ def stochastic(
         if int(needed) <= capacity:
             return image
         capacity = enough(int(needed), 0).rows
+
+
+def _halton(count: int) -> np.ndarray:
+    """Points (count, 2) of the Halton sequence in bases 2 and 3.
+
+    With the number of the stratum as third coordinate these are Hammersley points. A lattice
+    such as R2 would do as well, but for some speeds and numbers of samples it resonates.
+    """
+    number, axes = np.arange(count), []
+    for base in (2, 3):
+        place, rest, digit = np.zeros(count), number, 1 / base
+        while rest.any():
+            rest, remainder = np.divmod(rest, base)
+            place, digit = place + digit * remainder, digit / base
+        axes.append(place)
+    return np.stack(axes, axis=1)
 
 
 def _stratum(
