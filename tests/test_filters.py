@@ -170,7 +170,7 @@ def test_a_constant_image_stays_constant(name, border):
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("speed", [0.0, 0.35])
-@pytest.mark.parametrize("choice", ["stochastic", "own"])
+@pytest.mark.parametrize("choice", ["stochastic", "own", "expected"])
 def test_half_a_pixel_of_motion_or_less_is_the_identity_bit_for_bit(name, speed, choice):
     frame = random_frame((12, 18))
     still = jaxblur.Frame(frame.color, frame.depth, jnp.full_like(frame.velocity, speed))
@@ -273,3 +273,20 @@ def test_wrong_shapes_are_refused(name, buffer, message):
     }
     with pytest.raises(ValueError, match=message):
         run(name, jaxblur.Frame(**(buffers | buffer)))
+
+
+@pytest.mark.parametrize("choice", ["stochastic", "own", "expected"])
+def test_luma_hint_is_a_checkerboard_where_the_filter_blurs(choice):
+    frame, noise = random_frame((18, 24), speed=3.0), random_noise((18, 24))
+    moves = (jnp.arange(24) < 8)[None, :, None]
+    frame = jaxblur.Frame(frame.color, frame.depth, jnp.where(moves, frame.velocity, 0))
+    settings = change(tile_choice=choice)
+    hint = jaxblur.luma_hint(frame, PARAMETERS["guertin2014"], settings=settings, noise=noise)
+    blurred = np.any(run("guertin2014", frame, settings, noise) != frame.color, axis=-1)
+    checker = np.indices((18, 24)).sum(axis=0) % 2
+    luma = np.asarray(frame.color) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    np.testing.assert_array_equal(np.asarray(hint)[blurred], checker[blurred])
+    # Tiles are 6 wide: motion ends in the second, its ring in the third; half a tile further on
+    # no lookup comes back to it.
+    assert blurred[:, :15].mean() > 0.5 and not blurred[:, 21:].any()
+    np.testing.assert_allclose(hint[:, 21:], luma[:, 21:], rtol=1e-5)

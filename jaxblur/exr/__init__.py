@@ -19,23 +19,31 @@ Pixels are those of the data window: overscan goes through the filter and comes 
 linear and, where there is alpha, premultiplied; it is neither clipped nor converted.
 """
 
-from .choose import ColorGroup as ColorGroup
-from .choose import choose_color as choose_color
-from .choose import choose_depth as choose_depth
-from .choose import choose_vectors as choose_vectors
-from .files import Channel as Channel
-from .files import FileInfo as FileInfo
-from .files import JaxblurIOError as JaxblurIOError
-from .files import JaxblurIOWarning as JaxblurIOWarning
-from .files import Part as Part
-from .files import inspect as inspect
-from .files import read_channels as read_channels
-from .read import DEPTH_KINDS as DEPTH_KINDS
-from .read import Buffers as Buffers
-from .read import read_buffers as read_buffers
-from .read import read_frame as read_frame
-from .read import read_image as read_image
-from .write import refuse_overwrite as refuse_overwrite
-from .write import write_channels as write_channels
-from .write import write_frame as write_frame
-from .write import write_image as write_image
+from .choose import (
+    ColorGroup as ColorGroup,
+    choose_color as choose_color,
+    choose_depth as choose_depth,
+    choose_vectors as choose_vectors,
+)
+from .files import (
+    Channel as Channel,
+    FileInfo as FileInfo,
+    JaxblurIOError as JaxblurIOError,
+    JaxblurIOWarning as JaxblurIOWarning,
+    Part as Part,
+    inspect as inspect,
+    read_channels as read_channels,
+)
+from .read import (
+    DEPTH_KINDS as DEPTH_KINDS,
+    Buffers as Buffers,
+    read_buffers as read_buffers,
+    read_frame as read_frame,
+    read_image as read_image,
+)
+from .write import (
+    refuse_overwrite as refuse_overwrite,
+    write_channels as write_channels,
+    write_frame as write_frame,
+    write_image as write_image,
+)

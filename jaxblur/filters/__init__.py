@@ -7,10 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from ..settings import Settings
-from .guertin2014 import GuertinParameters as GuertinParameters
-from .guertin2014 import guertin2014 as guertin2014
-from .mcguire2012 import McGuireParameters as McGuireParameters
-from .mcguire2012 import mcguire2012 as mcguire2012
+from .guertin2014 import (
+    GuertinParameters as GuertinParameters,
+    guertin2014 as guertin2014,
+    luma_hint as luma_hint,
+)
+from .mcguire2012 import McGuireParameters as McGuireParameters, mcguire2012 as mcguire2012
 from .pixel_velocity import pixel_velocity as pixel_velocity
 
 FILTERS: dict[str, Callable[..., Any]] = {

@@ -37,6 +37,8 @@ from ..weights import (
     relative_closeness,
 )
 
+REC709_LUMA = (0.2126, 0.7152, 0.0722)
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
@@ -174,6 +176,28 @@ def _reconstruct(frame, velocity, speed, dominant, buffers, parameters, settings
     return jnp.where(sharp[..., None], frame.color, blurred)
 
 
+def _tile_choices(height, width, parameters, settings, noise):
+    """The tiles that a pixel may read and their probabilities (pass 4), both (K, H, W)."""
+    tau = jnp.asarray(parameters.tau)
+    if settings.tile_choice == "expected":
+        return reachable_tiles(height, width, settings.radius, tau)
+    if settings.tile_choice == "own":
+        tile = own_tile(height, width, settings.radius)
+    else:
+        tile = stochastic_tile(noise.tile, tau, settings.radius)
+    return tile[None], jnp.ones((1, height, width), tau.dtype)
+
+
+def _prepare(frame, parameters, settings, noise):
+    """Checked inputs in one dtype, clamped velocities, and the dominant velocities (1 to 3)."""
+    frame = check_frame(frame)
+    noise = resolve_noise(noise, settings.noise, *frame.depth.shape)
+    parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+    velocity, speed = clamp_speed(frame.velocity, settings.radius)
+    tiles = dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles)
+    return frame, parameters, noise, (velocity[..., 0], velocity[..., 1]), speed, tiles
+
+
 @functools.partial(jax.jit, static_argnames=("settings",))
 def guertin2014(
     frame: Frame,
@@ -203,14 +227,16 @@ def guertin2014(
     Returns:
         (H, W, C) blurred color, within the range of the colors gathered; pixels whose
         neighborhood moves by half a pixel or less are returned bit for bit. Differentiable in
-        every input; tau needs ``tile_choice="expected"``; phi and velocity move the taps, which
-        changes the colors that are read under ``fetch="bilinear"`` only.
+        every input; tau needs ``tile_choice="expected"``; gamma, phi and velocity move the taps,
+        which changes the colors that are read under ``fetch="bilinear"`` only.
 
     Raises:
         ValueError: shapes disagree.
     """
     colors, chances = tile_outcomes(frame, parameters, settings=settings, noise=noise)
-    return colors[0] if len(colors) == 1 else jnp.sum(colors * chances[..., None], axis=0)
+    # As differences from the own tile, so that pixels that nothing reaches keep their bits.
+    own = colors[0]
+    return own + jnp.sum(chances[1:, ..., None] * (colors[1:] - own), axis=0)
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
@@ -240,14 +266,9 @@ def tile_outcomes(
     Raises:
         ValueError: shapes disagree.
     """
-    frame = check_frame(frame)
+    prepared = _prepare(frame, parameters, settings, noise)
+    frame, parameters, noise, velocity, speed, tiles = prepared
     height, width = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
-    parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    tau = jnp.asarray(parameters.tau)
-    velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    tiles = dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles)
-    velocity = velocity[..., 0], velocity[..., 1]
     local, tables = _buffers(frame, velocity, speed, noise, parameters, settings)
     if settings.split == "variance":
         share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
@@ -257,11 +278,45 @@ def tile_outcomes(
         dominant = tiles[..., 0].reshape(-1)[tile], tiles[..., 1].reshape(-1)[tile]
         return _reconstruct(frame, velocity, speed, dominant, (local, tables), parameters, settings)
 
-    if settings.tile_choice == "expected":
-        indices, chances = reachable_tiles(height, width, settings.radius, tau)
-        return lax.map(blur, indices), chances
-    if settings.tile_choice == "own":
-        tile = own_tile(height, width, settings.radius)
-    else:
-        tile = stochastic_tile(noise.tile, tau, settings.radius)
-    return blur(tile)[None], jnp.ones((1, height, width), frame.color.dtype)
+    indices, chances = _tile_choices(height, width, parameters, settings, noise)
+    colors = blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
+    return colors, chances
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def luma_hint(
+    frame: Frame,
+    parameters: GuertinParameters,
+    *,
+    settings: Settings = Settings(),
+    noise: Noise | None = None,
+) -> jax.Array:
+    """Luma plane for FXAA that marks every blurred pixel as an edge.
+
+    ``(x + y) & 1`` where `guertin2014` blurs, the luma of the color elsewhere: the antialiasing
+    then smooths what noise the taps left, and nothing else.
+
+    Source: Guertin et al. 2014, section 3.4.5; luma is that of Rec. 709, or the first channel of
+    an image with fewer than three.
+
+    Args:
+        frame: as `guertin2014`.
+        parameters: as `guertin2014`.
+        settings: as `guertin2014`.
+        noise: as `guertin2014`.
+
+    Returns:
+        (H, W): 0 or 1 at blurred pixels, linear luma elsewhere.
+
+    Raises:
+        ValueError: shapes disagree.
+    """
+    frame, parameters, noise, _, _, tiles = _prepare(frame, parameters, settings, noise)
+    height, width = frame.depth.shape
+    indices, chances = _tile_choices(height, width, parameters, settings, noise)
+    reach = safe_norm(tiles[..., 0], tiles[..., 1]).reshape(-1)[indices]
+    blurred = jnp.any((reach > SPEED_FLOOR) & (chances > 0), axis=0)
+    checker = (jnp.arange(height)[:, None] + jnp.arange(width)) % 2
+    weights = jnp.asarray(REC709_LUMA if frame.color.shape[-1] >= 3 else (1.0,), frame.color.dtype)
+    luma = jnp.sum(frame.color[..., : len(weights)] * weights, axis=-1)
+    return jnp.where(blurred, checker.astype(luma.dtype), luma)

@@ -1,11 +1,6 @@
 from .constraints import CONSTRAINTS as CONSTRAINTS
-from .descent import Progress as Progress
-from .descent import default_optimizer as default_optimizer
-from .profiles import Profile as Profile
-from .profiles import profile as profile
-from .result import FitResult as FitResult
-from .result import Score as Score
-from .result import Sensitivity as Sensitivity
+from .descent import Progress as Progress, default_optimizer as default_optimizer
+from .profiles import Profile as Profile, profile as profile
+from .result import FitResult as FitResult, Score as Score, Sensitivity as Sensitivity
 from .run import fit as fit
-from .search import SettingsSearch as SettingsSearch
-from .search import search_settings as search_settings
+from .search import SettingsSearch as SettingsSearch, search_settings as search_settings

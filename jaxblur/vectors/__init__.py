@@ -17,24 +17,27 @@ Not sure which convention a file follows? `rank_conventions` warps the next fram
 each candidate and ranks them by how well the pictures agree.
 """
 
-from .convert import Displacements as Displacements
-from .convert import check_shutter as check_shutter
-from .convert import to_displacements as to_displacements
-from .convert import to_half_spread as to_half_spread
-from .guess import Guess as Guess
-from .guess import assign_channels as assign_channels
-from .guess import describe_names as describe_names
-from .guess import find_channels as find_channels
-from .guess import guess_preset as guess_preset
-from .guess import known_preset as known_preset
-from .guess import match_preset as match_preset
-from .presets import PRESETS as PRESETS
-from .presets import DepthKind as DepthKind
-from .presets import Layout as Layout
-from .presets import Preset as Preset
-from .presets import VectorPair as VectorPair
-from .rank import Candidate as Candidate
-from .rank import Ranking as Ranking
-from .rank import rank_conventions as rank_conventions
-from .statistics import SpeedStatistics as SpeedStatistics
-from .statistics import speed_statistics as speed_statistics
+from .convert import (
+    Displacements as Displacements,
+    check_shutter as check_shutter,
+    to_displacements as to_displacements,
+    to_half_spread as to_half_spread,
+)
+from .guess import (
+    Guess as Guess,
+    assign_channels as assign_channels,
+    describe_names as describe_names,
+    find_channels as find_channels,
+    guess_preset as guess_preset,
+    known_preset as known_preset,
+    match_preset as match_preset,
+)
+from .presets import (
+    PRESETS as PRESETS,
+    DepthKind as DepthKind,
+    Layout as Layout,
+    Preset as Preset,
+    VectorPair as VectorPair,
+)
+from .rank import Candidate as Candidate, Ranking as Ranking, rank_conventions as rank_conventions
+from .statistics import SpeedStatistics as SpeedStatistics, speed_statistics as speed_statistics
