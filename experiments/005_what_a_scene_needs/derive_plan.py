@@ -1,0 +1,266 @@
+"""From measurements to `jaxblur.plan`: fit the candidates, measure what they lose, fit the rules.
+
+    python -m experiments.005_what_a_scene_needs.derive_plan -o OUT [--reference-data DIR]
+
+Candidates are fitted to catalogue scenes at 15 samples, scored on them at several numbers of
+samples and two shutters, and a ridge regression predicts what each loses. The rules are then
+tried on scenes that had no part in any of it. Writes ``planning_constants.json``, which belongs
+into the package, and the table of predictions against measurements.
+"""
+
+import argparse
+import dataclasses
+import itertools
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxblur
+from experiments import common
+from experiments.common import Example
+from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.fitting.objective import draw_noise
+from jaxblur.metrics import display, motion_footprint, psnr
+from jaxblur.planning import FrameStatistics, frame_statistics
+
+DERIVED_FROM = (
+    *("camera_dolly", "camera_turn", "zoom", "uniform_pan", "cube_between_crates", "crossing"),
+    *("cubes_on_teapot", "flagpole", "gears", "rotor_over_city", "rotation_stress"),
+    "rolling_sphere",
+)
+VALIDATED_ON = ("wheels_at_three_depths", "tracked_car", "random_cubes", "opposed")
+SIZE, REFERENCE_WIDTH, TRUTH_SAMPLES, STEPS = (72, 128), 320, 96, 15
+FITTED_AT, FITTED_RADIUS = 15, 16
+SHUTTERS = (1.0, 2.0)
+SAMPLES = (9, 15, 25, 35)
+RIDGE = 0.1
+"""Penalty on the slopes of a rule, not on its constant, for features of size one."""
+FULL = "guertin2014, all components"
+TOLERANCES = (0.25, 0.5, 1.0, 2.0)
+COMMAND = "python -m experiments.005_what_a_scene_needs.derive_plan -o OUT"
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A filter that a plan may choose, at any number of samples.
+
+    Attributes:
+        filter: a key of `jaxblur.FILTERS`.
+        settings: that differ from the published ones.
+        free: parameters that are fitted.
+        fixed: parameters that are not, and differ from the published ones.
+    """
+
+    filter: str
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    fixed: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+CANDIDATES = {
+    "pixel_velocity": Candidate("pixel_velocity"),
+    "guertin2014, one direction": Candidate(
+        "guertin2014",
+        {"directions": "one", "direction_weights": "off", "tile_choice": "own"},
+        ("kappa", "phi", "depth_sharpness"),
+    ),
+    "guertin2014, two directions": Candidate(
+        "guertin2014",
+        {"direction_weights": "off", "tile_choice": "own"},
+        ("kappa", "gamma", "phi", "depth_sharpness"),
+    ),
+    FULL: Candidate("guertin2014", {}, ("kappa", "gamma", "tau", "phi", "depth_sharpness")),
+}
+
+
+def fitted(candidate: Candidate, examples: Sequence[Example]) -> dict[str, float]:
+    """Parameters of a candidate at `FITTED_AT` samples; none for a filter without."""
+    if candidate.filter != common.GUERTIN:
+        return {}
+    settings = jaxblur.Settings(samples=FITTED_AT, radius=FITTED_RADIUS, **candidate.settings)
+    return common.refit(examples, settings, candidate.free, candidate.fixed, STEPS)
+
+
+def at_samples(parameters: Mapping[str, float], samples: int) -> dict[str, float]:
+    """The same parameters for another number of samples: jitter is kept in spacings."""
+    if "phi" not in parameters:
+        return dict(parameters)
+    return dict(parameters) | {"phi": parameters["phi"] * samples / FITTED_AT}
+
+
+Run = Callable[..., jax.Array]
+
+
+def runs(parameters: Mapping[str, Mapping[str, float]], radius: int) -> dict[tuple[str, int], Run]:
+    """Every candidate at every number of samples, as functions of frame and noise."""
+    table = {}
+    for (label, candidate), samples in itertools.product(CANDIDATES.items(), SAMPLES):
+        published = PUBLISHED[candidate.filter][0]
+        values = at_samples(parameters[label], samples)
+        record = None if published is None else dataclasses.replace(published, **values)
+        settings = jaxblur.Settings(samples=samples, radius=radius, **candidate.settings)
+        table[label, samples] = _run(candidate.filter, record, settings)
+    return table
+
+
+def _run(name: str, record: Any, settings: jaxblur.Settings) -> Run:
+    def run(frame: jaxblur.Frame, noise: Any = None) -> jax.Array:
+        return FILTERS[name](frame, record, settings=settings, noise=noise)
+
+    return run
+
+
+def moving_psnr(run: Run, example: Example) -> float:
+    """PSNR over the pixels that motion reaches, with random noise."""
+    noise = draw_noise(jax.random.key(2), example.frame.depth.shape)
+    mask = motion_footprint(example.frame)
+    return float(psnr(display(run(example.frame, noise)), display(example.truth), mask=mask))
+
+
+def losses(
+    parameters: Mapping[str, Mapping[str, float]], examples: Sequence[Example]
+) -> tuple[list[FrameStatistics], dict[tuple[str, int], np.ndarray]]:
+    """Statistics of every frame, and what every run loses against the full filter there, dB."""
+    statistics = [frame_statistics(example.frame) for example in examples]
+    measured: dict[tuple[str, int], list[float]] = {}
+    for example, known in zip(examples, statistics, strict=True):
+        for key, run in runs(parameters, known.radius).items():
+            measured.setdefault(key, []).append(moving_psnr(run, example))
+    best = np.array(measured[FULL, max(SAMPLES)])
+    return statistics, {key: best - np.array(values) for key, values in measured.items()}
+
+
+def regress(features: np.ndarray, loss: np.ndarray) -> np.ndarray:
+    """Ridge regression: least squares with a penalty on all but the constant."""
+    penalty = RIDGE * np.eye(features.shape[1])
+    penalty[0, 0] = 0
+    return np.linalg.solve(features.T @ features + penalty, features.T @ loss)
+
+
+def left_out_spread(features: np.ndarray, loss: np.ndarray, groups: Sequence[str]) -> float:
+    """RMS error of the rule on scenes left out one at a time."""
+    names, errors = np.array(groups), []
+    for name in dict.fromkeys(groups):
+        out = names == name
+        rule = regress(features[~out], loss[~out])
+        errors += (loss[out] - features[out] @ rule).tolist()
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def rates(
+    parameters: Mapping[str, Mapping[str, float]], examples: Sequence[Example], repeats: int
+) -> dict[tuple[str, int], float]:
+    """Milliseconds for each megapixel: medians of interleaved runs on one mosaic."""
+    frame = common.mosaic(examples, 5)
+    times: dict[tuple[str, int], list[float]] = {}
+    table = runs(parameters, FITTED_RADIUS)
+    for turn, (key, run) in itertools.product(range(repeats + 1), table.items()):
+        started = time.perf_counter()
+        run(frame).block_until_ready()
+        if turn:
+            times.setdefault(key, []).append(time.perf_counter() - started)
+    megapixels = frame.depth.size / 1e6
+    return {key: 1000 * float(np.median(taken)) / megapixels for key, taken in times.items()}
+
+
+def derive(
+    parameters: Mapping[str, Mapping[str, float]],
+    examples: Sequence[Example],
+    speed: Mapping[tuple[str, int], float],
+) -> dict[str, Any]:
+    """The constants of the rules, one record for each run."""
+    statistics, lost = losses(parameters, examples)
+    features = np.stack([known.features for known in statistics])
+    groups = [example.name for example in examples]
+    records = {}
+    for (label, samples), loss in lost.items():
+        candidate = CANDIDATES[label]
+        values = at_samples(parameters[label], samples)
+        records[f"{label}, {samples} samples"] = {
+            "filter": candidate.filter,
+            "settings": {"samples": samples, **candidate.settings},
+            "parameters": {name: _rounded(value) for name, value in values.items()},
+            "loss": [_rounded(value) for value in regress(features, loss)],
+            "spread": _rounded(left_out_spread(features, loss, groups)),
+            "milliseconds_per_megapixel": _rounded(speed[label, samples]),
+        }
+    return {
+        "command": COMMAND,
+        "machine": "two cores of a server CPU, shared, jax " + jax.__version__,
+        "scenes": list(dict.fromkeys(groups)),
+        "candidates": records,
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def validate(
+    parameters: Mapping[str, Mapping[str, float]],
+    examples: Sequence[Example],
+    known: Mapping[str, Any],
+) -> list[Any]:
+    """One row for each scene and tolerance: what is chosen, expected and measured."""
+    statistics, lost = losses(parameters, examples)
+    slowest = known["candidates"][f"{FULL}, {max(SAMPLES)} samples"]["milliseconds_per_megapixel"]
+    rows = []
+    for index, tolerance in itertools.product(range(len(examples)), TOLERANCES):
+        choice = choose(known, statistics[index], tolerance)
+        record = known["candidates"][choice]
+        label, samples = choice.removesuffix(" samples").rsplit(", ", 1)
+        expected = float(np.dot(record["loss"], statistics[index].features))
+        measured = float(lost[label, int(samples)][index])
+        saved = 1 - record["milliseconds_per_megapixel"] / slowest
+        kept = "yes" if measured <= tolerance else "no"
+        scene = examples[index].name
+        rows.append((scene, tolerance, choice, expected, record["spread"], measured, kept, saved))
+    return rows
+
+
+def choose(known: Mapping[str, Any], statistics: FrameStatistics, tolerance: float) -> str:
+    """The rule of `jaxblur.plan` on constants that are not installed yet."""
+    quick = sorted(known["candidates"].items(), key=lambda c: c[1]["milliseconds_per_megapixel"])
+    return next(
+        label
+        for label, record in quick
+        if np.dot(record["loss"], statistics.features) + record["spread"] <= tolerance
+    )
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="Derive the constants of jaxblur.plan.")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="validate on these too")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Fit, measure, derive, validate, write."""
+    options = parse_arguments()
+    options.output.mkdir(parents=True, exist_ok=True)
+    examples = [
+        common.catalogue_example(name, SIZE, shutter, TRUTH_SAMPLES)
+        for shutter, name in itertools.product(SHUTTERS, DERIVED_FROM)
+    ]
+    others = [common.catalogue_example(n, SIZE, 2.0, TRUTH_SAMPLES) for n in VALIDATED_ON]
+    if options.reference_data:
+        others += common.cycles_examples(options.reference_data, REFERENCE_WIDTH)
+    training = examples[-len(DERIVED_FROM) :]
+    parameters = {label: fitted(c, training) for label, c in CANDIDATES.items()}
+    known = derive(parameters, examples, rates(parameters, training, 9))
+    text = json.dumps(known, indent=1) + "\n"
+    (options.output / "planning_constants.json").write_text(text, encoding="utf-8")
+    columns = ("scene", "tolerance dB", "choice", "expected dB", "spread dB", "measured dB")
+    columns += ("within", "share of time saved")
+    common.write_table(options.output, "validation", columns, validate(parameters, others, known))
+
+
+if __name__ == "__main__":
+    main()

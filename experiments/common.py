@@ -1,0 +1,211 @@
+"""What several experiments share: frames with their truth, brief fits, tables."""
+
+import csv
+import dataclasses
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxblur
+from jaxblur import exr, scenes
+from jaxblur.filters import PUBLISHED
+from jaxblur.fitting.constraints import starting_values, to_free
+from jaxblur.fitting.descent import State, Task, default_optimizer, descend
+from jaxblur.fitting.objective import Objective
+from jaxblur.fitting.pairs import make_batches, make_pairs, pixel_weights
+
+GUERTIN = "guertin2014"
+FULL_WIDTH = 640
+"""Width in pixels of the rendered reference frames."""
+
+
+class Example(NamedTuple):
+    """A sharp frame with its true blur.
+
+    Attributes:
+        name: of the scene.
+        kind: ``camera``, ``passing`` or ``turning`` for catalogue scenes, else ``cycles``.
+        frame: the sharp frame.
+        truth: (H, W, 3) linear light.
+    """
+
+    name: str
+    kind: str
+    frame: jaxblur.Frame
+    truth: Any
+
+
+def catalogue_example(
+    name: str, size: tuple[int, int], shutter: float, samples: int, time: float = 0.0
+) -> Example:
+    """Render a scene of the catalogue, sharp and blurred.
+
+    Args:
+        name: a key of `jaxblur.scenes.SCENES`.
+        size: (height, width) in pixels.
+        shutter: frames.
+        samples: of the truth.
+        time: frames.
+
+    Returns:
+        The example; its kind is that of the module that builds the scene.
+    """
+    builder = scenes.SCENES[name]
+    scene = builder()
+    frame = scenes.render(scene, time, shutter, size)
+    truth = scenes.accumulate(scene, time, shutter, samples, size)
+    return Example(name, builder.__module__.rpartition("_")[2], frame, truth)
+
+
+def cycles_examples(folder: Path, width: int, frame: int = 11) -> list[Example]:
+    """Read rendered scenes as `experiments/blender` lays them out, reduced in size.
+
+    Color is averaged over blocks; depth and velocity are those in the middle of a block.
+
+    Args:
+        folder: one sub-folder for each scene.
+        width: in pixels after the reduction; must divide 640.
+        frame: number.
+
+    Returns:
+        One example for each scene.
+
+    Raises:
+        SystemExit: there is no scene.
+    """
+    truths = sorted(folder.glob(f"*/truth_{frame:04d}.exr"))
+    if not truths:
+        raise SystemExit(f"{folder} holds no */truth_{frame:04d}.exr; see experiments/blender.")
+    return [_cycles_example(truth, FULL_WIDTH // width) for truth in truths]
+
+
+def _cycles_example(truth: Path, factor: int) -> Example:
+    camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
+    sharp = truth.with_name(truth.name.replace("truth", "frame"))
+    frame = jaxblur.read_frame(sharp, shutter=camera["shutter"])
+    middle = slice(factor // 2, None, factor)
+    reduced = jaxblur.Frame(
+        _block_means(np.asarray(frame.color)[..., :3], factor),
+        jnp.asarray(frame.depth)[middle, middle],
+        jnp.asarray(frame.velocity)[middle, middle] / factor,
+    )
+    blurred = _block_means(exr.read_image(truth)[..., :3], factor)
+    return Example(truth.parent.name, "cycles", reduced, blurred)
+
+
+def _block_means(image: np.ndarray, factor: int) -> jax.Array:
+    height, width, channels = image.shape
+    blocks = image.reshape(height // factor, factor, width // factor, factor, channels)
+    return jnp.asarray(blocks.mean(axis=(1, 3)), jnp.float32)
+
+
+def refit(
+    examples: Sequence[Example],
+    settings: jaxblur.Settings,
+    free: Sequence[str],
+    fixed: Mapping[str, float],
+    steps: int,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Fit parameters of guertin2014 briefly: Adam from the published values, without scans.
+
+    Minimizes the display error of the pixels that motion reaches, expected over the choice of
+    tile, with fresh jitter at each step. Compiles once for each settings and set of parameters.
+
+    Args:
+        examples: of one size.
+        settings: of the run.
+        free: parameters to fit; the published ones if none.
+        fixed: values that differ from the published ones.
+        steps: of Adam.
+        seed: of the noise.
+
+    Returns:
+        All parameters.
+    """
+    values = vars(PUBLISHED[GUERTIN][0]) | dict(fixed)
+    if not free:
+        return values
+    start = values | starting_values(GUERTIN, {name: values[name] for name in free})
+    objective = Objective(
+        filter_name=GUERTIN,
+        free=tuple(free),
+        pixel="display",
+        over="expected" if settings.tile_choice == "stochastic" else "mean",
+        settings=settings,
+        noise="fresh",
+        noise_draws=1,
+    )
+    pairs = make_pairs([(e.frame, e.truth) for e in examples], [e.name for e in examples])
+    batches = make_batches(pairs, pixel_weights(pairs, "moving", "display"))
+    held = {name: value for name, value in start.items() if name not in free}
+    task = Task(objective, held, batches, jax.random.key(seed))
+    optimizer = default_optimizer(steps)
+    vector = to_free(GUERTIN, start, free)
+    final, interrupted = descend(task, State(vector, optimizer.init(vector)), steps, optimizer)
+    if interrupted:
+        raise KeyboardInterrupt
+    return task.parameters(final.free)
+
+
+def mosaic(examples: Sequence[Example], columns: int) -> jaxblur.Frame:
+    """Lay frames of one size out side by side: a larger frame to measure time on.
+
+    Args:
+        examples: whose frames are repeated as needed.
+        columns: number of frames in a row, and of rows.
+
+    Returns:
+        One frame.
+    """
+
+    def laid_out(*buffers: jax.Array) -> jax.Array:
+        repeated = itertools.islice(itertools.cycle(buffers), columns**2)
+        rows = [itertools.islice(repeated, columns) for _ in range(columns)]
+        return jnp.concatenate([jnp.concatenate(list(row), axis=1) for row in rows], axis=0)
+
+    plain = [dataclasses.replace(example.frame, path=None) for example in examples]
+    return jax.tree.map(laid_out, *plain)
+
+
+def mean_and_interval(values: Iterable[float]) -> tuple[float, float]:
+    """Mean, and half the width of its 95 % confidence interval by Student's t.
+
+    Args:
+        values: independent figures, two or more.
+
+    Returns:
+        Both.
+    """
+    from scipy import stats
+
+    array = np.asarray(list(values), float)
+    error = array.std(ddof=1) / np.sqrt(array.size)
+    return float(array.mean()), float(stats.t.ppf(0.975, array.size - 1) * error)
+
+
+def write_table(folder: Path, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]):
+    """Write a table as CSV and as Markdown, and print it.
+
+    Args:
+        folder: where to.
+        name: of the files without ending.
+        columns: heads.
+        rows: cells; numbers are written as they are in CSV, with three decimals in Markdown.
+    """
+    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
+    lines = [columns, ["---"] * len(columns), *[[_cell(value) for value in row] for row in rows]]
+    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    (folder / f"{name}.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
