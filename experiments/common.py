@@ -105,6 +105,18 @@ def _block_means(image: np.ndarray, factor: int) -> jax.Array:
     return jnp.asarray(blocks.mean(axis=(1, 3)), jnp.float32)
 
 
+class Refit(NamedTuple):
+    """What `refit` gives.
+
+    Attributes:
+        parameters: all of them, by name.
+        losses: before each step.
+    """
+
+    parameters: dict[str, float]
+    losses: tuple[float, ...]
+
+
 def refit(
     examples: Sequence[Example],
     settings: jaxblur.Settings,
@@ -112,7 +124,7 @@ def refit(
     fixed: Mapping[str, float],
     steps: int,
     seed: int = 0,
-) -> dict[str, float]:
+) -> Refit:
     """Fit parameters of guertin2014 briefly: Adam from the published values, without scans.
 
     Minimizes the display error of the pixels that motion reaches, expected over the choice of
@@ -127,11 +139,11 @@ def refit(
         seed: of the noise.
 
     Returns:
-        All parameters.
+        All parameters, and the losses on the way.
     """
     values = vars(PUBLISHED[GUERTIN][0]) | dict(fixed)
     if not free:
-        return values
+        return Refit(values, ())
     start = values | starting_values(GUERTIN, {name: values[name] for name in free})
     objective = Objective(
         filter_name=GUERTIN,
@@ -151,7 +163,7 @@ def refit(
     final, interrupted = descend(task, State(vector, optimizer.init(vector)), steps, optimizer)
     if interrupted:
         raise KeyboardInterrupt
-    return task.parameters(final.free)
+    return Refit(task.parameters(final.free), final.losses)
 
 
 def mosaic(examples: Sequence[Example], columns: int) -> jaxblur.Frame:

@@ -83,7 +83,7 @@ def fitted(candidate: Candidate, examples: Sequence[Example]) -> dict[str, float
     if candidate.filter != common.GUERTIN:
         return {}
     settings = jaxblur.Settings(samples=FITTED_AT, radius=FITTED_RADIUS, **candidate.settings)
-    return common.refit(examples, settings, candidate.free, candidate.fixed, STEPS)
+    return common.refit(examples, settings, candidate.free, candidate.fixed, STEPS).parameters
 
 
 def at_samples(parameters: Mapping[str, float], samples: int) -> dict[str, float]:
@@ -117,7 +117,9 @@ def _run(name: str, record: Any, settings: jaxblur.Settings) -> Run:
 
 def moving_psnr(run: Run, example: Example) -> float:
     """PSNR over the pixels that motion reaches, with random noise."""
-    noise = draw_noise(jax.random.key(2), example.frame.depth.shape)
+    noise = draw_noise(
+        jax.random.key(2), (example.frame.depth.shape[0], example.frame.depth.shape[1])
+    )
     mask = motion_footprint(example.frame)
     return float(psnr(display(run(example.frame, noise)), display(example.truth), mask=mask))
 

@@ -150,7 +150,8 @@ def cross_validate(
     """Fit on each half and judge on the other; judge rendered scenes by both fits."""
     settings, fits, judged = variant.settings, [], []
     for training, held_out in (halves, halves[::-1]):
-        fits.append(common.refit(training, settings, variant.free, variant.fixed, steps))
+        fit = common.refit(training, settings, variant.free, variant.fixed, steps)
+        fits.append(fit.parameters)
         judged += judge(variant.label, fits[-1], settings, [*held_out, *others])
     return judged, fits
 

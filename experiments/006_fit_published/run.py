@@ -1,0 +1,304 @@
+"""What does fitting the published filter gain on scenes that were not fitted?
+
+    python -m experiments.006_fit_published.run -o OUT [--reference-data DIR] [--quick]
+
+guertin2014 with 15 samples and a radius for small frames is fitted with each
+catalogue scene left out in turn and judged on that scene; a fit to all of them is judged on the
+rendered scenes. Profiles and standard errors are those of a fit to three scenes. Figures are
+over the pixels that motion reaches. Seeds are fixed.
+"""
+
+import argparse
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxblur
+from experiments import common
+from experiments.common import GUERTIN, Example
+from jaxblur import fitting, metrics, pictures
+from jaxblur.filters import PUBLISHED
+from jaxblur.fitting.objective import draw_noise
+
+SCENES = ("camera_turn", "zoom", "crossing", "cube_between_crates", "gears", "rotor_over_city")
+MOVIES = ("cube_between_crates", "gears")
+SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 2.0, 96
+FRAMES, INTERVAL = 8, 2.0
+SETTINGS = jaxblur.Settings(samples=15, radius=16)
+FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
+REFERENCE_WIDTH = 320
+SEEDS = (11, 12, 13)
+PROFILED = ("zoom", "crossing", "gears")
+STEPS, PROFILED_STEPS, POINTS = 12, 6, 7
+ENLARGE = 2
+UNMENDED = {
+    "hidden background": "cube_between_crates",
+    "curved motion": "gears",
+    "moving shadows": "cube_over_crates",
+}
+
+Parameters = Mapping[str, float]
+
+
+class Judged(NamedTuple):
+    """Figures of one picture: which scene, by which parameters, under which noise."""
+
+    scene: str
+    parameters: str
+    seed: int
+    psnr: float
+    ssim: float
+    flip: float
+
+
+def blur(frame: jaxblur.Frame, parameters: Parameters, seed: int) -> jax.Array:
+    """Run the filter with noise drawn from a seed."""
+    noise = draw_noise(jax.random.key(seed), (frame.depth.shape[0], frame.depth.shape[1]))
+    record = jaxblur.GuertinParameters(**parameters)
+    return jaxblur.guertin2014(frame, record, settings=SETTINGS, noise=noise)
+
+
+def judge(example: Example, label: str, parameters: Parameters) -> list[Judged]:
+    """Score a scene under every noise seed, over the pixels that motion reaches."""
+    mask = metrics.motion_footprint(example.frame)
+    rows = []
+    for seed in SEEDS:
+        image = blur(example.frame, parameters, seed)
+        rows.append(Judged(example.name, label, seed, *metrics.compare(image, example.truth, mask)))
+    return rows
+
+
+def leave_one_out(examples: Sequence[Example], steps: int) -> dict[str, common.Refit]:
+    """Fit to all scenes but one, for each."""
+    fits = {}
+    for example in examples:
+        training = [other for other in examples if other.name != example.name]
+        fits[example.name] = common.refit(training, SETTINGS, FREE, {}, steps)
+        values = ", ".join(f"{k} {fits[example.name].parameters[k]:.3g}" for k in FREE)
+        print(f"without {example.name}: {values}", flush=True)
+    return fits
+
+
+def scene_means(judged: Sequence[Judged], label: str, figure: str) -> dict[str, float]:
+    """Mean over noise seeds for each scene."""
+    values: dict[str, list[float]] = {}
+    for row in judged:
+        if row.parameters == label:
+            values.setdefault(row.scene, []).append(getattr(row, figure))
+    return {scene: float(np.mean(figures)) for scene, figures in values.items()}
+
+
+def seed_spread(judged: Sequence[Judged], scene: str, figure: str) -> float:
+    """Half the 95 % interval over noise seeds of the gain of one scene."""
+    by_label = {
+        label: [getattr(r, figure) for r in judged if (r.scene, r.parameters) == (scene, label)]
+        for label in ("published", "fitted")
+    }
+    gains = np.subtract(by_label["fitted"], by_label["published"])
+    return common.mean_and_interval(gains)[1]
+
+
+def summary(judged: Sequence[Judged], catalogue: Sequence[str]) -> list[Any]:
+    """One row for each scene and figure, and the gain pooled over the scenes of the catalogue."""
+    rows = []
+    for figure in ("psnr", "ssim", "flip"):
+        before, after = (scene_means(judged, label, figure) for label in ("published", "fitted"))
+        for scene, value in before.items():
+            gain, spread = after[scene] - value, seed_spread(judged, scene, figure)
+            rows.append((scene, figure, value, after[scene], gain, spread, "noise seeds"))
+        gains = [after[scene] - before[scene] for scene in catalogue]
+        mean, spread = common.mean_and_interval(gains)
+        pooled = [float(np.mean([part[scene] for scene in catalogue])) for part in (before, after)]
+        rows.append(("pooled, held out", figure, *pooled, mean, spread, "scenes"))
+    return rows
+
+
+def temporal(name: str, parameters: Mapping[str, Parameters]) -> list[Any]:
+    """Flicker and FLIP over a short sequence, one row for each set of parameters."""
+    times = INTERVAL * (np.arange(FRAMES) - (FRAMES - 1) / 2)
+    examples = [
+        common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES, time)
+        for time in times.tolist()
+    ]
+    truths = jnp.stack([metrics.display(example.truth) for example in examples])
+    rows = []
+    for label, values in parameters.items():
+        shown = jnp.stack(
+            [
+                metrics.display(blur(example.frame, values, seed))
+                for seed, example in enumerate(examples)
+            ]
+        )
+        flicker = np.asarray(metrics.temporal_difference_error(shown, truths))
+        visible = [metrics.flip(*pair) for pair in zip(shown, truths, strict=True)]
+        pooled = float(np.sqrt(np.mean(np.square(flicker))))
+        spread = float(np.std(visible, ddof=1))
+        rows.append((name, label, pooled, float(np.mean(visible)), spread))
+    return rows
+
+
+def enlarged(image: Any) -> np.ndarray:
+    """Repeat pixels, so that small frames can be looked at."""
+    return np.asarray(image).repeat(ENLARGE, axis=0).repeat(ENLARGE, axis=1)
+
+
+def sheet_row(example: Example, candidates: Sequence[Parameters]) -> list[np.ndarray]:
+    """Sharp, one picture for each set of parameters, truth, and the errors of the pictures."""
+    images = [blur(example.frame, parameters, SEEDS[0]) for parameters in candidates]
+    errors = [pictures.error_image(image, example.truth) for image in images]
+    return [enlarged(part) for part in (example.frame.color, *images, example.truth, *errors)]
+
+
+def unmended(
+    output: Path, examples: Sequence[Example], others: Mapping[str, Parameters], steps: int
+) -> list[Any]:
+    """Fit to one scene alone: what then remains, no parameters mend. Writes a picture for each."""
+    rows = []
+    known = {example.name: example for example in examples}
+    for cause, name in UNMENDED.items():
+        if name not in known:
+            continue
+        example = known[name]
+        own = common.refit([example], SETTINGS, FREE, {}, steps).parameters
+        compared = {"published": _published(), "fitted": others[name], "fitted to itself": own}
+        figures = [
+            float(np.mean([row.psnr for row in judge(example, label, values)]))
+            for label, values in compared.items()
+        ]
+        rows.append((cause, name, *figures))
+        row = sheet_row(example, [others[name], own])
+        picture = pictures.contact_sheet([row[:3], row[3:]])
+        pictures.write_png(output / f"unmended_{cause.replace(' ', '_')}.png", picture)
+    return rows
+
+
+def _published() -> dict[str, float]:
+    return dict(vars(PUBLISHED[GUERTIN][0]))
+
+
+def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:
+    """`jaxblur.fit` as a user runs it, with scans and standard errors."""
+    pairs = [(example.frame, example.truth) for example in examples]
+    return jaxblur.fit(
+        GUERTIN,
+        pairs,
+        free=FREE,
+        pixel="display",
+        mask="moving",
+        settings=SETTINGS,
+        steps=PROFILED_STEPS,
+        names=[example.name for example in examples],
+    )
+
+
+def draw_curves(path: Path, fits: Mapping[str, common.Refit]) -> None:
+    """Loss against step for every fold, as a share of the first loss."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.5, 3.5), layout="constrained")
+    axes = figure.subplots()
+    for name, fit in fits.items():
+        axes.plot(np.array(fit.losses) / fit.losses[0], label=f"without {name}")
+    axes.set(xlabel="step", ylabel="training loss / first loss")
+    axes.legend(fontsize="small")
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=100)
+
+
+def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Example]) -> None:
+    """The loss along each parameter, the others held."""
+    from matplotlib.figure import Figure
+
+    pairs = [(example.frame, example.truth) for example in examples]
+    figure = Figure(figsize=(13, 2.8), layout="constrained")
+    for axis, name in zip(figure.subplots(1, len(FREE), sharey=True), FREE, strict=True):
+        around = result.parameters[name] * np.geomspace(1 / 3, 3, POINTS)
+        values = np.linspace(0.1, 0.95, POINTS) if name == "tau" else around
+        scan = fitting.profile(result, pairs, name, values=values, mask="moving")
+        axis.plot(scan.values, scan.losses / scan.losses.min(), marker="o", markersize=3)
+        axis.axvline(scan.fitted, linestyle="--", color="gray")
+        axis.set(xlabel=name, xscale="linear" if name == "tau" else "log")
+        axis.grid(alpha=0.3)
+    figure.supylabel("loss / least loss")
+    figure.savefig(path, dpi=100)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description="What fitting the published filter gains.")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
+    parser.add_argument("--quick", action="store_true", help="two scenes, two steps, tables only")
+    return parser.parse_args()
+
+
+def write_scores(output: Path, judged: Sequence[Judged], names: Sequence[str]) -> None:
+    """The summary, and every figure behind it."""
+    heads = ("scene", "figure", "published", "fitted", "gain", "± 95 %", "over")
+    common.write_table(output, "summary", heads, summary(judged, names))
+    common.write_table(output, "scores", Judged._fields, judged)
+
+
+def run_rest(
+    output: Path,
+    examples: Sequence[Example],
+    others: Sequence[Example],
+    fits: Mapping[str, common.Refit],
+) -> list[Judged]:
+    """Rendered scenes, curves, profiles, sequences, pictures."""
+    published = _published()
+    all_scenes = common.refit(examples, SETTINGS, FREE, {}, STEPS).parameters
+    compared = {"published": published, "fitted": all_scenes}
+    used = {name: fit.parameters for name, fit in fits.items()}
+    used |= dict.fromkeys((other.name for other in others), all_scenes)
+    judged = [
+        row
+        for other, (label, values) in itertools.product(others, compared.items())
+        for row in judge(other, label, values)
+    ]
+    draw_curves(output / "curves.png", fits)
+    rows = [sheet_row(example, [published, used[example.name]]) for example in examples]
+    pictures.write_png(output / "sheet.png", pictures.contact_sheet(rows))
+    movies = [temporal(n, {"published": published, "fitted": used[n]}) for n in MOVIES]
+    heads = ("scene", "parameters", "temporal difference error", "mean FLIP", "spread of FLIP")
+    common.write_table(output, "temporal", heads, list(itertools.chain(*movies)))
+    rows = unmended(output, [*examples, *others], used, STEPS)
+    heads = ("cause", "scene", "published dB", "fitted dB", "fitted to itself dB")
+    common.write_table(output, "unmended", heads, rows)
+    profiled = [example for example in examples if example.name in PROFILED]
+    result = whole_fit(profiled)
+    result.save(output / "fitted.toml")
+    draw_profiles(output / "profiles.png", result, profiled)
+    return judged
+
+
+def main() -> None:
+    """Fit every fold, judge, and write tables and pictures."""
+    options = parse_arguments()
+    output = options.output
+    output.mkdir(parents=True, exist_ok=True)
+    names = SCENES[2:4] if options.quick else SCENES
+    samples = 16 if options.quick else TRUTH_SAMPLES
+    examples = [common.catalogue_example(name, SIZE, SHUTTER, samples) for name in names]
+    fits = leave_one_out(examples, 2 if options.quick else STEPS)
+    judged = []
+    for example in examples:
+        judged += judge(example, "published", _published())
+        judged += judge(example, "fitted", fits[example.name].parameters)
+    write_scores(output, judged, names)
+    if not options.quick:
+        folder = options.reference_data
+        others = common.cycles_examples(folder, REFERENCE_WIDTH) if folder else []
+        judged += run_rest(output, examples, others, fits)
+        write_scores(output, judged, names)
+        rows = [(name, *(fit.parameters[k] for k in FREE)) for name, fit in fits.items()]
+        common.write_table(output, "fits", ("left out", *FREE), rows)
+
+
+if __name__ == "__main__":
+    main()
