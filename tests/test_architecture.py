@@ -25,7 +25,8 @@ MAY_IMPORT = {
     "pictures": LOWEST | {"exr", "metrics"},
     "sequence": LOWEST | {"exr", "vectors"},
     "fitting": CORE | JUDGES | FILES,
-    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting"}),
+    "planning": LOWEST | {"tiles", "filters", "vectors"},
+    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting", "planning"}),
     "__main__": {"cli"},
 }
 

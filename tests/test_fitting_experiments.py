@@ -9,7 +9,6 @@ import pytest
 
 import jaxblur
 from experiments import common
-from jaxblur.planning import FrameStatistics
 from tests.helpers import random_frame
 from tests.planted import SETTINGS, SHAPE, TRUE, smooth_frame
 
@@ -75,18 +74,6 @@ def test_jitter_keeps_its_spacings_at_other_numbers_of_samples():
     values = rules.at_samples({"kappa": 3.0, "phi": 9.0}, 2 * rules.FITTED_AT)
     assert values == {"kappa": 3.0, "phi": 18.0}
     assert rules.at_samples({}, 35) == {}
-
-
-def test_the_quickest_rule_within_the_tolerance_is_chosen():
-    statistics = FrameStatistics(100, 1.0, 4.0, 5, 1.0, 0.5, 0.0)
-    records = {
-        "slow": {"loss": [0, 0, 0, 0], "spread": 0.0, "milliseconds_per_megapixel": 9.0},
-        "quick": {"loss": [0.1, 1, 0, 0.1], "spread": 0.2, "milliseconds_per_megapixel": 1.0},
-    }
-    # 0.1 + 1 * 0.5 + 0.1 * log2(4) + 0.2 = 1
-    known = {"candidates": records}
-    assert rules.choose(known, statistics, 1.01) == "quick"
-    assert rules.choose(known, statistics, 0.99) == "slow"
 
 
 def test_a_brief_fit_comes_closer_to_planted_parameters():

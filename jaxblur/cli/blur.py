@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import logging
+import math
 import pathlib
 import time
 from collections.abc import Mapping
@@ -65,6 +66,7 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         help="filter, parameters and settings as `jaxblur fit` wrote them; options override",
     )
+    _add_plan_options(parser)
     add_vector_options(parser)
     _add_source_options(parser)
 
@@ -111,6 +113,25 @@ def add_filter_options(parser: argparse.ArgumentParser) -> Any:
     return group
 
 
+def _add_plan_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("plan")
+    group.add_argument(
+        "--plan",
+        choices=("auto",),
+        help="choose filter, settings and parameters by statistics of the frame, and say why; "
+        "takes the place of all filter options, which are refused beside it",
+    )
+    group.add_argument(
+        "--tolerance",
+        type=_positive_number,
+        metavar="DB",
+        help="with --plan: PSNR that may be lost against the full filter (0.5 without --budget)",
+    )
+    group.add_argument(
+        "--budget", type=_positive_number, metavar="MS", help="with --plan: time for the filter"
+    )
+
+
 def _add_source_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("where color, vectors and depth are")
     group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
@@ -135,6 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Blur one frame; see `add_parser`."""
     from jaxblur import exr
 
+    _check_plan(arguments)
     name, parameters, settings = complete(arguments, _fitted(arguments.parameters))
     outputs = _outputs(arguments)
     for source in _sources(arguments):
@@ -145,10 +167,12 @@ def run(arguments: argparse.Namespace) -> int:
     started = time.perf_counter()
     buffers = read_buffers(arguments)
     truth = _read_truth(arguments, buffers.color.shape)
-    settings = _with_radius(settings, arguments, buffers)
     read = time.perf_counter()
 
     start_jax(not arguments.no_compile_cache)
+    if arguments.plan:
+        name, parameters, settings = _planned(arguments, buffers)
+    settings = _with_radius(settings, arguments, buffers)
     blurred = apply_filter(name, buffers, parameters, settings)
     done = time.perf_counter()
     images = {"input": buffers.color, name: blurred}
@@ -223,6 +247,16 @@ def _radius(text: str) -> int | None:
     return 0 if text == "auto" else positive_integer(text)
 
 
+def _positive_number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
+
+
 def _parameter(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals or not name:
@@ -260,7 +294,9 @@ def complete(
     settings = {key: getattr(published.FILTERS[name], key) for key in ("samples", "radius")}
     values = dict(arguments.param)
     if fitted:
-        settings, values = fitted.settings, fitted.parameters | values
+        source = str(arguments.parameters)
+        fitted_values = published.checked_parameters(name, fitted.parameters, source)
+        settings, values = fitted.settings, fitted_values | values
     names = ("samples", "radius", *CHOICES)
     given = {key: value for key in names if (value := getattr(arguments, key))}
     return name, published.checked_parameters(name, values), Settings(**settings | given)
@@ -272,6 +308,32 @@ def _fitted(path: pathlib.Path | None) -> Any:
     from jaxblur.fitting import FitResult
 
     return FitResult.load(path)
+
+
+def _check_plan(arguments: argparse.Namespace) -> None:
+    names = ("filter", "samples", "radius", "param", "parameters", *CHOICES)
+    excluded = names if arguments.plan else ("tolerance", "budget")
+    for name in excluded:
+        # A radius of 0 stands for auto, and is given too.
+        if getattr(arguments, name) not in (None, []):
+            option = f"--{name.replace('_', '-')}"
+            reason = "--plan auto chooses that" if arguments.plan else "only --plan auto takes it"
+            raise CommandError(f"{option}: {reason}; leave out one of the two.")
+
+
+def _planned(arguments: argparse.Namespace, buffers: Any) -> tuple[str, dict[str, float], Settings]:
+    """Choose by the frame what `complete` takes from the options, and say why."""
+    from jaxblur.frame import Frame
+    from jaxblur.planning import plan
+
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity)
+    try:
+        chosen = plan(frame, arguments.budget, arguments.tolerance)
+    except ValueError as error:
+        raise CommandError(f"--plan auto: {error}") from error
+    LOG.info("plan: %s", chosen.reason)
+    values = {} if chosen.parameters is None else dataclasses.asdict(chosen.parameters)
+    return chosen.filter, values, chosen.settings
 
 
 def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:

@@ -1,0 +1,307 @@
+"""`plan`: the cheapest filter that is expected to do for a frame, and why.
+
+What a filter loses against the full one on a frame is predicted from statistics of the frame by a
+linear rule for each candidate and number of samples,
+
+    loss = c0 + c1 angular_variance + c2 layered_tiles + c3 log2(fast_speed)        [dB]
+
+with constants from experiments/005_what_a_scene_needs, stored in ``planning_constants.json`` with
+the command that made them, the scenes, and the error of the rule on scenes left out. A loss is a
+difference of PSNR over the pixels that motion reaches, after the display transform, against
+`GuertinParameters` fitted for all components at 35 samples.
+"""
+
+import dataclasses
+import functools
+import importlib.resources
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from .filters import FILTERS, PUBLISHED
+from .frame import Frame, check_frame
+from .settings import Settings
+from .tiles import tile_argmax, tile_max, tile_variance
+from .vectors import speed_statistics
+
+MOVING = 0.5
+"""Half-spread in pixels above which the filters blur."""
+DIFFERENT = 1.0
+"""Pixels by which half-spreads in a tile must differ for its depths to matter."""
+LAYERED = 1.1
+"""Ratio of depths that makes two layers."""
+DEFAULT_TOLERANCE = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameStatistics:
+    """What `plan` knows of a frame; tiles are squares of ``radius`` pixels.
+
+    Attributes:
+        pixels: of the frame.
+        median_speed: half-spread in pixels that half of the pixels reach.
+        fast_speed: half-spread in pixels that one pixel in a hundred exceeds.
+        radius: the largest half-spread in pixels, rounded up.
+        moving_tiles: share of tiles with a half-spread above half a pixel.
+        angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1.
+        layered_tiles: share of the moving tiles in which something moves otherwise than the
+            fastest point, and in another depth.
+    """
+
+    pixels: int
+    median_speed: float
+    fast_speed: float
+    radius: int
+    moving_tiles: float
+    angular_variance: float
+    layered_tiles: float
+
+    @property
+    def features(self) -> Float[np.ndarray, " features"]:
+        """What the linear rules multiply: one, variance, layers, logarithm of speed."""
+        speed = math.log2(max(self.fast_speed, MOVING))
+        return np.array([1.0, self.angular_variance, self.layered_tiles, speed])
+
+    @property
+    def moves(self) -> bool:
+        """Whether any filter would change the frame."""
+        return self.moving_tiles > 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """How to blur a frame.
+
+    Attributes:
+        filter: a key of `jaxblur.FILTERS`.
+        settings: of the run.
+        parameters: of the filter, None if it has none.
+        reason: why, in one sentence.
+        loss: expected loss in dB against the full filter; negative is a gain.
+        spread: standard error of that expectation on scenes that it was not derived from, dB.
+        milliseconds: expected time on the machine that the constants were measured on, divided by
+            `machine_speed` of `plan`.
+    """
+
+    filter: str
+    settings: Settings
+    parameters: Any
+    reason: str
+    loss: float
+    spread: float
+    milliseconds: float
+
+    def __call__(self, frame: Frame) -> Any:
+        """Blur a frame as planned: (H, W, C) linear light."""
+        return FILTERS[self.filter](frame, self.parameters, settings=self.settings)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Candidate:
+    label: str
+    record: Mapping[str, Any]
+    loss: float
+    spread: float
+    milliseconds: float
+
+    @property
+    def safe_loss(self) -> float:
+        return self.loss + self.spread
+
+
+@functools.cache
+def constants() -> dict[str, Any]:
+    """The constants of the rules, and where they come from.
+
+    Returns:
+        ``command``, ``scenes``, ``machine``, and ``candidates`` by label.
+    """
+    text = importlib.resources.files("jaxblur").joinpath("planning_constants.json").read_text()
+    return json.loads(text)
+
+
+def frame_statistics(frame: Frame) -> FrameStatistics:
+    """Measure what `plan` needs to know of a frame.
+
+    Args:
+        frame: depth (H, W) and velocity (H, W, 2) half-spread in pixels are looked at.
+
+    Returns:
+        The statistics.
+
+    Raises:
+        ValueError: shapes disagree, or a velocity is NaN or infinite.
+    """
+    frame = check_frame(frame)
+    velocity, depth = np.asarray(frame.velocity), np.asarray(frame.depth)
+    speeds = speed_statistics(velocity)
+    if speeds.non_finite_share > 0:
+        raise ValueError(
+            f"`frame.velocity` must be finite, got NaN or infinity in "
+            f"{100 * speeds.non_finite_share:.3g} % of the pixels; repair the vectors first."
+        )
+    radius = speeds.suggested_radius
+    tiles = np.asarray(tile_max(velocity, radius))
+    moving = _speed(tiles) > MOVING
+    return FrameStatistics(
+        pixels=depth.size,
+        median_speed=speeds.percentiles[50.0],
+        fast_speed=speeds.percentiles[99.0],
+        radius=radius,
+        moving_tiles=float(moving.mean()),
+        angular_variance=_mean_where(moving, tile_variance(tiles)),
+        layered_tiles=_mean_where(moving, _layered(velocity, depth, radius)),
+    )
+
+
+def _speed(velocity: np.ndarray) -> np.ndarray:
+    return np.hypot(velocity[..., 0], velocity[..., 1])
+
+
+def _mean_where(chosen: np.ndarray, values: Any) -> float:
+    return float(np.mean(values, where=chosen)) if chosen.any() else 0.0
+
+
+def _layered(velocity: np.ndarray, depth: np.ndarray, radius: int) -> np.ndarray:
+    """Whether a tile holds a pixel that differs from its fastest one in velocity and depth."""
+    height, width = depth.shape
+    fastest = np.asarray(tile_argmax(jnp.asarray(_speed(velocity)), radius))
+    # The fastest pixel of its tile, for every pixel.
+    fastest = fastest.repeat(radius, axis=0).repeat(radius, axis=1)[:height, :width]
+    away = _speed(velocity - velocity.reshape(-1, 2)[fastest]) > DIFFERENT
+    other = depth.reshape(-1)[fastest]
+    # Sky is as deep as sky: infinity does not exceed infinity.
+    apart = np.maximum(depth, other) > LAYERED * np.minimum(depth, other)
+    marked = np.pad(away & apart, ((0, -height % radius), (0, -width % radius)))
+    rows, columns = marked.shape[0] // radius, marked.shape[1] // radius
+    return np.any(marked.reshape(rows, radius, columns, radius), axis=(1, 3))
+
+
+def plan(
+    frame_or_statistics: Frame | FrameStatistics,
+    budget_ms: float | None = None,
+    tolerance_db: float | None = None,
+    *,
+    machine_speed: float = 1.0,
+) -> Plan:
+    """Choose filter, settings and parameters for a frame from its statistics alone.
+
+    With a tolerance: the quickest candidate whose expected loss, plus the standard error of that
+    expectation, is within it. With a budget alone: the candidate of least expected loss that is
+    quick enough. With both: the quickest within both. With neither the tolerance is 0.5 dB.
+
+    Args:
+        frame_or_statistics: a frame, or what `frame_statistics` says of it.
+        budget_ms: time for the frame in milliseconds.
+        tolerance_db: PSNR that may be lost against the full filter, over what moves, >= 0 dB.
+        machine_speed: how many times as quick this machine is as the one of the constants.
+
+    Returns:
+        The plan; call it with the frame.
+
+    Raises:
+        ValueError: an argument is out of range, or no candidate fits budget and tolerance.
+
+    >>> still = FrameStatistics(100, 0.0, 0.0, 5, 0.0, 0.0, 0.0)
+    >>> plan(still).filter
+    'pixel_velocity'
+    """
+    _check_limits(budget_ms, tolerance_db, machine_speed)
+    statistics = frame_or_statistics
+    if not isinstance(statistics, FrameStatistics):
+        statistics = frame_statistics(statistics)
+    candidates = _predict(statistics, machine_speed)
+    if not statistics.moves:
+        return _nothing_moves(statistics, candidates)
+    if budget_ms is None and tolerance_db is None:
+        tolerance_db = DEFAULT_TOLERANCE
+    allowed = [
+        candidate
+        for candidate in candidates
+        if (budget_ms is None or candidate.milliseconds <= budget_ms)
+        and (tolerance_db is None or candidate.safe_loss <= tolerance_db)
+    ]
+    if not allowed:
+        raise ValueError(_refusal(candidates, budget_ms, tolerance_db))
+    if tolerance_db is None:
+        chosen = min(allowed, key=lambda c: (c.safe_loss, c.milliseconds))
+        why = f"of those within {budget_ms:g} ms it is expected to lose least"
+    else:
+        chosen = min(allowed, key=lambda c: (c.milliseconds, c.safe_loss))
+        why = f"it is the quickest expected to stay within {tolerance_db:g} dB"
+    return _make_plan(chosen, statistics, _reason(chosen, statistics, why))
+
+
+def _check_limits(
+    budget_ms: float | None, tolerance_db: float | None, machine_speed: float
+) -> None:
+    if budget_ms is not None and not budget_ms > 0:
+        raise ValueError(f"`budget_ms` must be above 0, got {budget_ms:g}.")
+    if tolerance_db is not None and not tolerance_db >= 0:
+        raise ValueError(f"`tolerance_db` must be at least 0, got {tolerance_db:g}.")
+    if not 0 < machine_speed < math.inf:
+        raise ValueError(f"`machine_speed` must be a number above 0, got {machine_speed:g}.")
+
+
+def _predict(statistics: FrameStatistics, machine_speed: float) -> list[_Candidate]:
+    megapixels = statistics.pixels / 1e6
+    return [
+        _Candidate(
+            label,
+            record,
+            float(np.dot(record["loss"], statistics.features)),
+            record["spread"],
+            record["milliseconds_per_megapixel"] * megapixels / machine_speed,
+        )
+        for label, record in constants()["candidates"].items()
+    ]
+
+
+def _nothing_moves(statistics: FrameStatistics, candidates: list[_Candidate]) -> Plan:
+    quickest = min(candidates, key=lambda candidate: candidate.milliseconds)
+    still = dataclasses.replace(quickest, loss=0.0, spread=0.0)
+    reason = (
+        f"{quickest.label}: nothing moves by more than half a pixel, so that every filter returns "
+        "the frame as it is, and this one is the quickest."
+    )
+    return _make_plan(still, statistics, reason)
+
+
+def _make_plan(chosen: _Candidate, statistics: FrameStatistics, reason: str) -> Plan:
+    name = chosen.record["filter"]
+    published = PUBLISHED[name][0]
+    parameters = chosen.record["parameters"]
+    settings = Settings(**chosen.record["settings"], radius=statistics.radius)
+    record = None if published is None else dataclasses.replace(published, **parameters)
+    return Plan(name, settings, record, reason, chosen.loss, chosen.spread, chosen.milliseconds)
+
+
+def _reason(chosen: _Candidate, statistics: FrameStatistics, why: str) -> str:
+    return (
+        f"{chosen.label}: {why} (loss {chosen.loss:.2f} ± {chosen.spread:.2f} dB against the full "
+        f"filter, {chosen.milliseconds:.0f} ms), since speeds reach "
+        f"{statistics.fast_speed:.1f} px, the angular variance is "
+        f"{statistics.angular_variance:.2f}, and {100 * statistics.layered_tiles:.0f} % of the "
+        "moving tiles hold layers that move apart."
+    )
+
+
+def _refusal(
+    candidates: list[_Candidate], budget_ms: float | None, tolerance_db: float | None
+) -> str:
+    quickest = min(candidates, key=lambda candidate: candidate.milliseconds)
+    if tolerance_db is None:
+        return (
+            f"`budget_ms` must be at least {quickest.milliseconds:.3g} for this frame, got "
+            f"{budget_ms:g}; blur a smaller frame, or say how quick this machine is."
+        )
+    kept = [c.milliseconds for c in candidates if c.safe_loss <= tolerance_db]
+    return (
+        f"`budget_ms` must be at least {min(kept):.3g} to stay within {tolerance_db:g} dB, got "
+        f"{budget_ms:g}; allow a larger `tolerance_db`, or give the budget alone."
+    )
