@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from .scene import NEAR, Pose, World, points_at, pose_at
 from .shutter import ShutterFunction, shutter_curve
 
-FINE_TIMES = 64
+CHECKS = 4
 MOST_PIECES = 64
 TABLE_POINTS = 1025
 
@@ -63,30 +63,6 @@ def light_at(table: LightTable, position: Float[Array, "..."]) -> Float[Array, "
     return jnp.interp(position, table.position, table.light)
 
 
-@jax.jit
-def _chord_errors(
-    world: World, times: Float[Array, " fine"], width: Float[Array, ""], height: Float[Array, ""]
-) -> Array:
-    points = jax.vmap(points_at, (None, 0))(world, times)
-
-    def project(camera_points: Array) -> Array:
-        depth = jnp.maximum(camera_points[..., 2:], NEAR)
-        return world.camera.focal * width * camera_points[..., :2] / depth
-
-    def error(pieces: int) -> Array:
-        keys = points[:: FINE_TIMES // pieces]
-        share = (jnp.arange(FINE_TIMES // pieces) * (pieces / FINE_TIMES))[:, None, None]
-        chord = (keys[:-1, None] + share * (keys[1:] - keys[:-1])[:, None]).reshape(
-            -1, *keys[0].shape
-        )
-        true = project(points[:-1])
-        seen = (jnp.abs(true[..., 0]) < width) & (jnp.abs(true[..., 1]) < height)
-        seen &= points[:-1, :, 2] > NEAR
-        return jnp.max(jnp.where(seen, jnp.linalg.norm(project(chord) - true, axis=-1), 0.0))
-
-    return jnp.stack([error(2**k) for k in range(FINE_TIMES.bit_length() - 1)])
-
-
 def needed_pieces(
     world: World, opening: float, closing: float, size: tuple[int, int], tolerance: float
 ) -> tuple[int, float]:
@@ -97,19 +73,45 @@ def needed_pieces(
         opening: frames.
         closing: frames.
         size: (height, width) of the image.
-        tolerance: largest distance in pixels between a point that is seen and its place on the
-            straight path, at any time.
+        tolerance: largest distance in pixels between a point in the image and its place on the
+            straight path.
 
     Returns:
         Number of pieces, a power of two and at most 64, and the largest distance measured with
-        them in pixels (for 64 extrapolated from 32: it falls with the square of the number).
+        them, in pixels, at the quarters of each piece.
     """
-    times = jnp.linspace(opening, closing, FINE_TIMES + 1)
-    errors = np.asarray(_chord_errors(world, times, jnp.float32(size[1]), jnp.float32(size[0])))
-    errors = np.append(errors, errors[-1] / 4)
-    fitting = np.flatnonzero(errors <= tolerance)
-    best = int(fitting[0]) if len(fitting) else len(errors) - 1
-    return 2**best, float(errors[best])
+    pieces = 1
+    while True:
+        error = float(_path_error(world, opening, closing, jnp.array(size), pieces))
+        if error <= tolerance or pieces == MOST_PIECES:
+            return pieces, error
+        pieces *= 2
+
+
+@jax.jit
+def _path_error(
+    world: World, opening: Array, closing: Array, size: Int[Array, " 2"], pieces: Array
+) -> Array:
+    limit = jnp.flip(size).astype(jnp.float32)
+    scale = world.camera.focal * limit[0]
+
+    def project(points: Array) -> Array:
+        return scale * points[:, :2] / jnp.maximum(points[:, 2:], NEAR)
+
+    def error(piece: Array) -> Array:
+        share = jnp.linspace(0.0, 1.0, CHECKS + 1)
+        times = opening + (closing - opening) * (piece + share) / pieces
+        points = jax.lax.map(functools.partial(points_at, world), times)
+
+        def distance(k: Array) -> Array:
+            true = project(points[k])
+            chord = project(points[0] + share[k] * (points[-1] - points[0]))
+            seen = jnp.all(jnp.abs(true) < limit, axis=1) & (points[k, :, 2] > NEAR)
+            return jnp.max(jnp.where(seen, jnp.linalg.norm(chord - true, axis=1), 0.0))
+
+        return jnp.max(jax.lax.map(distance, jnp.arange(1, CHECKS)))
+
+    return jax.lax.fori_loop(0, pieces, lambda k, worst: jnp.maximum(worst, error(k)), 0.0)
 
 
 def key_poses(world: World, times: Float[Array, " keys"]) -> Pose:
@@ -172,4 +174,4 @@ def own_copies(
         closed=world.closed[triangle],
         texture=world.texture[triangle],
     )
-    return copies, pose
+    return jax.lax.optimization_barrier((copies, pose))

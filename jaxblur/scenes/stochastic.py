@@ -36,7 +36,9 @@ from .swept import (
 )
 
 PATH_TOLERANCE = 0.1
-CANDIDATES = 65536
+CANDIDATES = 16384
+STRATA_PER_SWEEP = 16
+"""Strata that share one set of moving triangles: the longer the sweep, the more candidates."""
 REACH = 0.5
 
 
@@ -44,7 +46,9 @@ class Strata(NamedTuple):
     """How the exposure is divided among the samples.
 
     Attributes:
-        light: (S, Q + 1) share of the light at the ends of each stratum's pieces of time.
+        light: (G, Q + 1) share of the light at the ends of the pieces of time of each group of
+            strata; groups of several strata have one piece.
+        size: () number of strata in a group; the last one may have fewer.
         offsets: (S, 2) x and y in the pixel in [0, 1), before they are shifted per pixel.
         center: () frames.
         shutter: () frames.
@@ -53,11 +57,21 @@ class Strata(NamedTuple):
     """
 
     light: jax.Array
+    size: jax.Array
     offsets: jax.Array
     center: jax.Array
     shutter: jax.Array
     table: LightTable
     seed: jax.Array
+
+
+class _Sweeps(NamedTuple):
+    """What the strata of a group share: keys, poses there, moving triangles and their rows."""
+
+    keys: jax.Array
+    poses: Pose
+    swept: Swept
+    rows: SweptRows
 
 
 class Seen(NamedTuple):
@@ -92,9 +106,9 @@ def stochastic(
     own time, and the surface that is nearest then is shaded at that time. Errors show as noise
     and not as ghosts, and the mean over seeds is the true image.
 
-    Corners move along straight lines in camera space within a stratum. Where that would miss the
-    true path by more than a tenth of a pixel, strata are divided into pieces (64 of them at most
-    over the exposure); for linear motion it is exact. Samples are added up one after the other;
+    Corners move along straight lines in camera space through one or several strata. The exposure
+    is cut into so many pieces (64 at most) that this misses the true path by a tenth of a pixel at
+    most; for linear motion it is exact. Samples are added up one after the other;
     memory does not depend on their number.
 
     Args:
@@ -124,10 +138,13 @@ def stochastic(
     center = exposure_center(time, shutter, placement)
     ends = center - shutter / 2, center + shutter / 2
     pieces, _ = needed_pieces(scene.world, *ends, size, PATH_TOLERANCE)
-    per_stratum = -(-pieces // samples)
-    light = np.arange(samples)[:, None] + np.linspace(0, 1, per_stratum + 1)
+    group = max(1, min(samples // pieces, STRATA_PER_SWEEP))
+    starts = np.arange(0, samples, group)
+    ends_of_groups = np.minimum(starts + group, samples)
+    light = np.linspace(starts, ends_of_groups, -(-pieces // len(starts)) + 1, axis=1) / samples
     strata = Strata(
-        jnp.asarray(light / samples, jnp.float32),
+        jnp.asarray(light, jnp.float32),
+        jnp.int32(group),
         jnp.asarray(_halton(samples), jnp.float32),
         jnp.float32(center),
         jnp.float32(shutter),
@@ -158,10 +175,10 @@ def _halton(count: int) -> np.ndarray:
     return np.stack(axes, axis=1)
 
 
-def _stratum(
+def _group(
     world: World, strata: Strata, index: Array, size: tuple[int, int]
 ) -> tuple[Array, Pose, Swept]:
-    """Positions of a stratum's keys in the exposure, poses there, and moving triangles."""
+    """Positions of a group's keys in the exposure, poses there, and moving triangles."""
     keys = position_at(strata.table, strata.light[index])
     poses = key_poses(world, strata.center + strata.shutter * keys)
     focal = world.camera.focal * size[1]
@@ -171,7 +188,7 @@ def _stratum(
 @functools.partial(jax.jit, static_argnames=("size",))
 def _most_rows(world: World, strata: Strata, size: tuple[int, int]) -> Array:
     def count(index: Array) -> Array:
-        swept = _stratum(world, strata, index, size)[2]
+        swept = _group(world, strata, index, size)[2]
         return jnp.sum(row_counts(swept, jnp.zeros(2), REACH, size)[1])
 
     return jnp.max(jax.lax.map(count, jnp.arange(strata.light.shape[0])))
@@ -181,49 +198,59 @@ def _most_rows(world: World, strata: Strata, size: tuple[int, int]) -> Array:
 def _mean(
     world: World, strata: Strata, size: tuple[int, int], capacity: int
 ) -> tuple[Array, Array]:
-    """Give the mean over the strata, and the most rows that one needed."""
-    samples = strata.light.shape[0]
+    """Give the mean over the strata, and the most rows that a group needed."""
+    samples = strata.offsets.shape[0]
     key = jax.random.key(strata.seed)
     shift = jax.random.uniform(key, (2, size[0] * size[1]))
 
-    def add(index: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+    def add_group(number: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
         total, needed = state
-        color, rows = _sample(world, strata, index, shift, key, size, capacity)
-        return total + color, jnp.maximum(needed, rows)
+        keys, poses, swept = _group(world, strata, number, size)
+        rows = swept_rows(swept, jnp.zeros(2), REACH, size, capacity)
+        sweeps = _Sweeps(keys, poses, swept, rows)
+        first = number * strata.size
+        last = jnp.minimum(first + strata.size, samples)
+        total = jax.lax.fori_loop(
+            first,
+            last,
+            lambda i, total: total + _sample(world, strata, sweeps, i, shift, key, size),
+            total,
+        )
+        return total, jnp.maximum(needed, rows.needed)
 
     start = jnp.zeros((3, size[0] * size[1])), jnp.int32(0)
-    total, needed = jax.lax.fori_loop(0, samples, add, start)
+    total, needed = jax.lax.fori_loop(0, strata.light.shape[0], add_group, start)
     return (total / samples).T.reshape(*size, 3), needed
 
 
 def _sample(
     world: World,
     strata: Strata,
+    sweeps: _Sweeps,
     index: Array,
     shift: Array,
     key: Array,
     size: tuple[int, int],
-    capacity: int,
-) -> tuple[Array, Array]:
-    """Color (3, P) of one sample per pixel, and the number of rows needed."""
-    keys, poses, swept = _stratum(world, strata, index, size)
-    light = jax.random.uniform(jax.random.fold_in(key, index), shift.shape[1:])
-    first, last = strata.light[index, 0], strata.light[index, -1]
-    position = position_at(strata.table, first + light * (last - first))
+) -> Array:
+    """Color (3, P) of one sample per pixel."""
+    keys, poses, swept, rows = sweeps
+    samples = strata.offsets.shape[0]
+    jitter = jax.random.uniform(jax.random.fold_in(key, index), shift.shape[1:])
+    position = position_at(strata.table, (index + jitter) / samples)
     piece = jnp.searchsorted(keys[1:-1], position, side="right").astype(jnp.int32)
     share = (position - keys[piece]) / (keys[piece + 1] - keys[piece])
     focal = world.camera.focal * size[1]
     ray = _rays(focal, (strata.offsets[index][:, None] + shift) % 1.0 - 0.5, size)
-    rows = swept_rows(swept, jnp.zeros(2), REACH, size, capacity)
     owner = _nearest(swept, rows, ray, piece, share, keys.shape[0] - 1, size)
     triangle = jnp.maximum(owner, 0) % world.triangles.shape[0]
     copies, pose = own_copies(world, poses, piece, triangle, share)
     own = jnp.where(owner < 0, -1, jnp.arange(owner.shape[0]))
-    spacing = jax.lax.rsqrt(jnp.float32(strata.light.shape[0])) / focal
+    # Each sample averages textures over its share of the pixel.
+    spacing = jax.lax.rsqrt(jnp.float32(samples)) / focal
     surface = surface_at(copies, pose, own, ray, spacing)
     rotation = camera_rotations(poses, piece, share)
     direction = jnp.einsum("pij,jp->ip", rotation, ray)
-    return shade(copies, pose, surface, direction, spacing), rows.needed
+    return shade(copies, pose, surface, direction, spacing)
 
 
 def _rays(focal: Array, offset: Array, size: tuple[int, int]) -> Array:

@@ -117,7 +117,10 @@ def sweep(
     drawn &= jnp.any(depth > NEAR, axis=(0, 1))
     bounds = _clipped_bounds(ends, focal, size)
     crosses = jnp.any(depth <= NEAR, axis=(0, 1))
-    return Swept(edges, forward, depth, outline, bounds, crosses, drawn, shut)
+    # Done once: fused into its many readers it would be computed, and compiled, in each of them.
+    return jax.lax.optimization_barrier(
+        Swept(edges, forward, depth, outline, bounds, crosses, drawn, shut)
+    )
 
 
 def _image_points(points: Array, focal: Array, size: tuple[int, int]) -> Array:
