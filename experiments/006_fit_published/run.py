@@ -34,7 +34,7 @@ FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
 REFERENCE_WIDTH = 320
 SEEDS = (11, 12, 13)
 PROFILED = ("zoom", "crossing", "gears")
-STEPS, PROFILED_STEPS, POINTS = 12, 6, 7
+STEPS, PROFILED_STEPS, POINTS = 30, 6, 7
 ENLARGE = 2
 UNMENDED = {
     "hidden background": "cube_between_crates",
