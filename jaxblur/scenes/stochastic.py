@@ -40,15 +40,21 @@ CANDIDATES = 16384
 STRATA_PER_SWEEP = 16
 """Strata that share one set of moving triangles: the longer the sweep, the more candidates."""
 REACH = 0.5
+GROUP_BLOCK = 64
+SAMPLE_BLOCK = 1024
 
 
 class Strata(NamedTuple):
     """How the exposure is divided among the samples.
 
+    Arrays are padded, so that the number of samples does not recompile anything.
+
     Attributes:
         light: (G, Q + 1) share of the light at the ends of the pieces of time of each group of
             strata; groups of several strata have one piece.
+        groups: () number of groups.
         size: () number of strata in a group; the last one may have fewer.
+        samples: () number of strata.
         offsets: (S, 2) x and y in the pixel in [0, 1), before they are shifted per pixel.
         center: () frames.
         shutter: () frames.
@@ -57,7 +63,9 @@ class Strata(NamedTuple):
     """
 
     light: jax.Array
+    groups: jax.Array
     size: jax.Array
+    samples: jax.Array
     offsets: jax.Array
     center: jax.Array
     shutter: jax.Array
@@ -143,9 +151,11 @@ def stochastic(
     ends_of_groups = np.minimum(starts + group, samples)
     light = np.linspace(starts, ends_of_groups, -(-pieces // len(starts)) + 1, axis=1) / samples
     strata = Strata(
-        jnp.asarray(light, jnp.float32),
+        _padded(light, GROUP_BLOCK),
+        jnp.int32(len(starts)),
         jnp.int32(group),
-        jnp.asarray(_halton(samples), jnp.float32),
+        jnp.int32(samples),
+        _padded(_halton(samples), SAMPLE_BLOCK),
         jnp.float32(center),
         jnp.float32(shutter),
         light_table(shutter_function),
@@ -157,6 +167,11 @@ def stochastic(
         if int(needed) <= capacity:
             return image
         capacity = enough(int(needed), 0).rows
+
+
+def _padded(values: np.ndarray, block: int) -> Array:
+    """Fill up the leading axis to whole blocks."""
+    return jnp.asarray(np.pad(values, [(0, -len(values) % block), (0, 0)]), jnp.float32)
 
 
 def _halton(count: int) -> np.ndarray:
@@ -187,11 +202,11 @@ def _group(
 
 @functools.partial(jax.jit, static_argnames=("size",))
 def _most_rows(world: World, strata: Strata, size: tuple[int, int]) -> Array:
-    def count(index: Array) -> Array:
+    def count(index: Array, most: Array) -> Array:
         swept = _group(world, strata, index, size)[2]
-        return jnp.sum(row_counts(swept, jnp.zeros(2), REACH, size)[1])
+        return jnp.maximum(most, jnp.sum(row_counts(swept, jnp.zeros(2), REACH, size)[1]))
 
-    return jnp.max(jax.lax.map(count, jnp.arange(strata.light.shape[0])))
+    return jax.lax.fori_loop(0, strata.groups, count, jnp.int32(0))
 
 
 @functools.partial(jax.jit, static_argnames=("size", "capacity"))
@@ -199,7 +214,6 @@ def _mean(
     world: World, strata: Strata, size: tuple[int, int], capacity: int
 ) -> tuple[Array, Array]:
     """Give the mean over the strata, and the most rows that a group needed."""
-    samples = strata.offsets.shape[0]
     key = jax.random.key(strata.seed)
     shift = jax.random.uniform(key, (2, size[0] * size[1]))
 
@@ -209,7 +223,7 @@ def _mean(
         rows = swept_rows(swept, jnp.zeros(2), REACH, size, capacity)
         sweeps = _Sweeps(keys, poses, swept, rows)
         first = number * strata.size
-        last = jnp.minimum(first + strata.size, samples)
+        last = jnp.minimum(first + strata.size, strata.samples)
         total = jax.lax.fori_loop(
             first,
             last,
@@ -219,8 +233,8 @@ def _mean(
         return total, jnp.maximum(needed, rows.needed)
 
     start = jnp.zeros((3, size[0] * size[1])), jnp.int32(0)
-    total, needed = jax.lax.fori_loop(0, strata.light.shape[0], add_group, start)
-    return (total / samples).T.reshape(*size, 3), needed
+    total, needed = jax.lax.fori_loop(0, strata.groups, add_group, start)
+    return (total / strata.samples).T.reshape(*size, 3), needed
 
 
 def _sample(
@@ -234,9 +248,8 @@ def _sample(
 ) -> Array:
     """Color (3, P) of one sample per pixel."""
     keys, poses, swept, rows = sweeps
-    samples = strata.offsets.shape[0]
     jitter = jax.random.uniform(jax.random.fold_in(key, index), shift.shape[1:])
-    position = position_at(strata.table, (index + jitter) / samples)
+    position = position_at(strata.table, (index + jitter) / strata.samples)
     piece = jnp.searchsorted(keys[1:-1], position, side="right").astype(jnp.int32)
     share = (position - keys[piece]) / (keys[piece + 1] - keys[piece])
     focal = world.camera.focal * size[1]
@@ -246,7 +259,7 @@ def _sample(
     copies, pose = own_copies(world, poses, piece, triangle, share)
     own = jnp.where(owner < 0, -1, jnp.arange(owner.shape[0]))
     # Each sample averages textures over its share of the pixel.
-    spacing = jax.lax.rsqrt(jnp.float32(samples)) / focal
+    spacing = jax.lax.rsqrt(strata.samples.astype(jnp.float32)) / focal
     surface = surface_at(copies, pose, own, ray, spacing)
     rotation = camera_rotations(poses, piece, share)
     direction = jnp.einsum("pij,jp->ip", rotation, ray)
