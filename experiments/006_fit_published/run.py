@@ -222,7 +222,7 @@ def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Exam
         scan = fitting.profile(result, pairs, name, values=values, mask="moving")
         axis.plot(scan.values, scan.losses / scan.losses.min(), marker="o", markersize=3)
         axis.axvline(scan.fitted, linestyle="--", color="gray")
-        axis.set(xlabel=name, xscale="linear" if name == "tau" else "log")
+        axis.set_xlabel(name)
         axis.grid(alpha=0.3)
     figure.supylabel("loss / least loss")
     figure.savefig(path, dpi=100)
