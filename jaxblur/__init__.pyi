@@ -18,10 +18,12 @@ from .filters import (
 from .fitting import FitResult as FitResult, fit as fit
 from .frame import Frame as Frame
 from .noise import Noise as Noise
-from .planning import FrameStatistics as FrameStatistics
-from .planning import Plan as Plan
-from .planning import frame_statistics as frame_statistics
-from .planning import plan as plan
+from .planning import (
+    FrameStatistics as FrameStatistics,
+    Plan as Plan,
+    frame_statistics as frame_statistics,
+    plan as plan,
+)
 from .settings import Settings as Settings
 from .tiles import (
     neighbor_max as neighbor_max,

@@ -23,6 +23,7 @@ t + shutter/2]``. ``velocity`` and ``-velocity`` describe the same blur. With a 
 """
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -87,3 +88,18 @@ def check_frame(frame: Frame) -> Frame:
         raise ValueError(f"`frame.color` must not be empty, got shape {color.shape}.")
     dtype = jnp.result_type(jnp.float32, *(b.dtype for b in buffers.values()))
     return Frame(**{name: buffer.astype(dtype) for name, buffer in buffers.items()})
+
+
+def check_parameters(parameters: Any, kind: type) -> None:
+    """Refuse the parameters of another filter.
+
+    Args:
+        parameters: what the filter was given.
+        kind: the class that it takes.
+
+    Raises:
+        ValueError: they are of another class.
+    """
+    if not isinstance(parameters, kind):
+        name, given = kind.__name__, type(parameters).__name__
+        raise ValueError(f"`parameters` must be {name}, got {given}; pass {name}().")

@@ -129,6 +129,14 @@ def test_vectors_longer_than_the_radius_are_a_warning(tmp_path):
     assert "jaxblur: warning: " in err and "--radius auto" in err
 
 
+def test_blurring_a_blurred_frame_is_a_warning(tmp_path):
+    once = tmp_path / "once.exr"
+    run("blur", CAR, "-o", once, *FEW)
+    outcome = run("blur", once, "-o", tmp_path / "twice.exr", *FEW)
+    assert outcome.status == 0
+    assert "once.exr: was blurred by guertin2014 before; this blurs it again." in outcome.err
+
+
 def test_png_output_is_srgb(tmp_path):
     out = tmp_path / "out.png"
     outcome = run("blur", CAR, "-o", out, *FEW)

@@ -70,9 +70,12 @@ def test_blur_uses_filter_parameters_and_settings_and_options_override(fitted, t
     ("old", "new", "match"),
     [
         ('filter = "guertin2014"', 'filter = "box"', "no filter 'box'"),
-        ("schema = 1", "schema = 9", "`schema` must be 1, got 9"),
+        ("schema = 1", "schema = 9", "must be 1, got 9"),
         ("gamma = 2.0", "gamma = -2.0", "gamma must be above 0, got -2"),
-        ("steps = 3", "steps = 3\nstep = 4", "unknown key `step`"),
+        ("steps = 3", "steps = 3\nstep = 4", "unknown key 'step'"),
+        ("radius = 20", "radius = 20\nradios = 3", "unknown key 'settings.radios'"),
+        ("radius = 20\n", "", "missing key 'settings.radius'"),
+        ("radius = 20", "radius = -1", "bad.toml: 'radius' must be at least 1, got -1"),
     ],
 )
 def test_blur_refuses_a_bad_parameter_file(fitted, tmp_path, old, new, match):
@@ -80,7 +83,8 @@ def test_blur_refuses_a_bad_parameter_file(fitted, tmp_path, old, new, match):
     text = fitted[0].read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    assert match in refused("blur", CAR, "-o", tmp_path / "o.exr", "--parameters", path)
+    error = refused("blur", CAR, "-o", tmp_path / "o.exr", "--parameters", path)
+    assert match in error and "bad.toml" in error
 
 
 def test_blur_refuses_the_parameters_of_another_filter(fitted, tmp_path):

@@ -85,6 +85,15 @@ def test_channels_of_named_parts_carry_the_part_name(tmp_path):
     np.testing.assert_allclose(inverse.depth, 1 / plain["Z"], rtol=1e-6)
 
 
+def test_a_depth_channel_called_plain_z_is_a_distance_beside_nuke_vectors_too(tmp_path):
+    plain = plain_frame()
+    channels = {name: plain[name] for name in ("R", "G", "B", "Z")}
+    channels |= {"forward.u": plain["velocity.X"], "forward.v": plain["velocity.Y"]}
+    buffers = exr.read_buffers(write_single(tmp_path / "a.exr", channels))
+    assert (buffers.guess.preset.name, buffers.depth_kind) == ("nuke", "z")
+    np.testing.assert_array_equal(buffers.depth, plain["Z"])
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_any_usual_number_of_color_channels(tmp_path, count):
     names = {1: "Y", 2: "YA", 3: "RGB", 4: "RGBA"}[count]

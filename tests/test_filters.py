@@ -10,6 +10,7 @@ import pytest
 
 import jaxblur
 from jaxblur.filters import FILTERS
+from jaxblur.frame import check_parameters
 from tests.helpers import RELATIVE, SHAPES, as_arrays, fields, random_frame, random_noise
 from tests.reference import plain_loops
 
@@ -290,3 +291,11 @@ def test_luma_hint_is_a_checkerboard_where_the_filter_blurs(choice):
     # no lookup comes back to it.
     assert blurred[:, :15].mean() > 0.5 and not blurred[:, 21:].any()
     np.testing.assert_allclose(hint[:, 21:], luma[:, 21:], rtol=1e-5)
+
+
+def test_parameters_of_another_filter_are_refused():
+    # Not through a filter: beartype, which only the tests install, would refuse them first.
+    for wrong in (None, jaxblur.McGuireParameters()):
+        with pytest.raises(ValueError, match=r"`parameters` must be GuertinParameters, got"):
+            check_parameters(wrong, jaxblur.GuertinParameters)
+    check_parameters(jaxblur.GuertinParameters(), jaxblur.GuertinParameters)

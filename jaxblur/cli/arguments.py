@@ -2,6 +2,7 @@
 
 import argparse
 import difflib
+import math
 import os
 import pathlib
 import re
@@ -182,6 +183,17 @@ def channel_names(text: str) -> list[str]:
     if not all(names):
         raise argparse.ArgumentTypeError(f"expected names separated by commas, got {text!r}")
     return names
+
+
+def positive_number(text: str) -> float:
+    """Parse a finite number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+    return value
 
 
 def positive_integer(text: str) -> int:

@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import logging
-import math
 import pathlib
 import time
 from collections.abc import Mapping
@@ -24,11 +23,11 @@ from .arguments import (
     check_outputs,
     describe_presets,
     file_path,
-    one_of,
-    positive_integer,
+    positive_number,
 )
 from .compute import start_jax
 from .console import print_line, print_table
+from .filtering import add_filter_options, apply_filter, complete
 
 LOG = logging.getLogger("jaxblur")
 
@@ -71,48 +70,6 @@ def add_parser(commands: Any) -> None:
     _add_source_options(parser)
 
 
-def add_filter_options(parser: argparse.ArgumentParser) -> Any:
-    """Add the options that say which filter runs, and how; `complete` reads them.
-
-    Args:
-        parser: of a command.
-
-    Returns:
-        The group of these options.
-    """
-    group = parser.add_argument_group("filter")
-    group.add_argument(
-        "--filter",
-        type=_filter_name,
-        metavar="NAME",
-        help=f"default {published.DEFAULT_FILTER}; see below",
-    )
-    group.add_argument(
-        "--samples", type=positive_integer, metavar="N", help="taps per pixel (as published)"
-    )
-    group.add_argument(
-        "--radius",
-        type=_radius,
-        metavar="auto|PX",
-        help="longest half-spread; auto takes it from the frame (as published)",
-    )
-    group.add_argument(
-        "--param",
-        type=_parameter,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a parameter of the filter; repeat for several",
-    )
-    for name, options in CHOICES.items():
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            choices=options,
-            help=f"default {getattr(Settings(), name)}",
-        )
-    return group
-
-
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("plan")
     group.add_argument(
@@ -123,12 +80,12 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--tolerance",
-        type=_positive_number,
+        type=positive_number,
         metavar="DB",
         help="with --plan: PSNR that may be lost against the full filter (0.5 without --budget)",
     )
     group.add_argument(
-        "--budget", type=_positive_number, metavar="MS", help="with --plan: time for the filter"
+        "--budget", type=positive_number, metavar="MS", help="with --plan: time for the filter"
     )
 
 
@@ -160,7 +117,9 @@ def run(arguments: argparse.Namespace) -> int:
     name, parameters, settings = complete(arguments, _fitted(arguments.parameters))
     outputs = _outputs(arguments)
     for source in _sources(arguments):
-        exr.inspect(source)
+        earlier = exr.inspect(source).parts[0].attributes.get("jaxblur:filter")
+        if earlier and source == arguments.input:
+            LOG.warning("%s: was blurred by %s before; this blurs it again.", source, earlier)
         for output in outputs:
             exr.refuse_overwrite(output, source)
     check_outputs(outputs, arguments.overwrite)
@@ -211,95 +170,6 @@ def read_buffers(arguments: argparse.Namespace) -> Any:
     LOG.info("vectors: %s", buffers.guess.reason)
     LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
     return buffers
-
-
-def apply_filter(
-    name: str, buffers: Any, parameters: Mapping[str, float], settings: Settings
-) -> Any:
-    """Run a filter.
-
-    Args:
-        name: a key of `jaxblur.FILTERS`.
-        buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
-        parameters: by name; the others are as published.
-        settings: how to run it.
-
-    Returns:
-        (H, W, C) NumPy array.
-    """
-    import numpy as np
-
-    from jaxblur.filters import FILTERS, PUBLISHED
-    from jaxblur.frame import Frame
-
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
-    record = PUBLISHED[name][0]
-    chosen = None if record is None else dataclasses.replace(record, **parameters)
-    return np.asarray(FILTERS[name](frame, chosen, settings=settings))
-
-
-def _filter_name(text: str) -> str:
-    return one_of(text, tuple(published.FILTERS), "filter")
-
-
-def _radius(text: str) -> int | None:
-    """Parse ``--radius``; 0 stands for auto."""
-    return 0 if text == "auto" else positive_integer(text)
-
-
-def _positive_number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
-    return value
-
-
-def _parameter(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    if not equals or not name:
-        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
-    try:
-        return name.strip(), float(value)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{name} must be a number, got {value!r}") from error
-
-
-def complete(
-    arguments: argparse.Namespace, fitted: Any = None
-) -> tuple[str, dict[str, float], Settings]:
-    """Say which filter runs and how: as asked for, else as fitted, else as published.
-
-    Args:
-        arguments: with the options of `add_filter_options`.
-        fitted: a `jaxblur.FitResult`, or None.
-
-    Returns:
-        Name of the filter, all of its parameters, settings.
-
-    Raises:
-        CommandError: another filter was fitted, or a parameter is unknown or out of range.
-    """
-    name = arguments.filter or (fitted.filter if fitted else published.DEFAULT_FILTER)
-    if fitted and fitted.filter != name:
-        raise CommandError(
-            f"{arguments.parameters}: holds parameters of {fitted.filter}; leave out "
-            f"--filter {name}."
-        )
-    if name not in published.FILTERS:
-        known = ", ".join(published.FILTERS)
-        raise CommandError(f"{arguments.parameters}: no filter {name!r}; there are {known}.")
-    settings = {key: getattr(published.FILTERS[name], key) for key in ("samples", "radius")}
-    values = dict(arguments.param)
-    if fitted:
-        source = str(arguments.parameters)
-        fitted_values = published.checked_parameters(name, fitted.parameters, source)
-        settings, values = fitted.settings, fitted_values | values
-    names = ("samples", "radius", *CHOICES)
-    given = {key: value for key in names if (value := getattr(arguments, key))}
-    return name, published.checked_parameters(name, values), Settings(**settings | given)
 
 
 def _fitted(path: pathlib.Path | None) -> Any:

@@ -9,9 +9,10 @@ from jaxblur.settings import Settings
 
 from . import published
 from .arguments import add_command, add_compute_options, check_folder, file_path
-from .blur import SCORE_COLUMNS, apply_filter, score_rows
+from .blur import SCORE_COLUMNS, score_rows
 from .compute import start_jax
 from .console import print_line, print_table
+from .filtering import apply_filter
 from .scene import image_size, make_scene
 
 SHUTTER = 0.5

@@ -23,9 +23,9 @@ from .arguments import (
     did_you_mean,
     positive_integer,
 )
-from .blur import add_filter_options, complete
 from .compute import start_jax
 from .console import print_line, print_table
+from .filtering import add_filter_options, complete
 
 LOG = logging.getLogger("jaxblur")
 
@@ -354,6 +354,16 @@ def _report(output: pathlib.Path, result: Any) -> None:
             for label in ("published", "fitted")
         ],
     )
+    for part in parts:
+        before, after = (
+            result.mean_score("psnr", part, label, "moving") for label in ("published", "fitted")
+        )
+        if after < before:
+            LOG.warning(
+                "%s: the fitted parameters are %.2f dB worse than the published ones; fit longer, "
+                "to more frames, or with another --pixel error.",
+                *(part, before - after),
+            )
     for flag in sensitivity.flags:
         LOG.warning("%s", flag)
 

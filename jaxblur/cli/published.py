@@ -86,12 +86,15 @@ FILTERS: dict[str, Published] = {
 DEFAULT_FILTER = "guertin2014"
 
 
-def checked_parameters(name: str, given: Mapping[str, float]) -> dict[str, float]:
+def checked_parameters(
+    name: str, given: Mapping[str, float], source: str = "--param"
+) -> dict[str, float]:
     """Complete the parameters of a filter by the published ones.
 
     Args:
         name: a key of `FILTERS`.
         given: values by parameter name.
+        source: where they come from, for the message.
 
     Returns:
         All parameters of the filter.
@@ -104,10 +107,10 @@ def checked_parameters(name: str, given: Mapping[str, float]) -> dict[str, float
         if parameter not in table:
             known = f"it has {', '.join(table)}" if table else "it has none"
             hint = did_you_mean(parameter, table)
-            raise CommandError(f"--param: {name} has no parameter {parameter!r}{hint}; {known}.")
+            raise CommandError(f"{source}: {name} has no parameter {parameter!r}{hint}; {known}.")
         if not table[parameter].allows(value):
             allowed = table[parameter].range()
-            raise CommandError(f"--param: {parameter} must be {allowed}, got {value:g}.")
+            raise CommandError(f"{source}: {parameter} must be {allowed}, got {value:g}.")
     return {parameter: known.default for parameter, known in table.items()} | dict(given)
 
 

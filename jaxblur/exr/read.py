@@ -166,15 +166,15 @@ def read_buffers(
     if non_finite != "keep":
         _check_speed(velocity, vector_info.path, guess)
 
-    kind = _depth_kind(depth, guess, path)
-    if kind == "flat":
+    if "flat" in (depth, guess.preset.depth if depth == "auto" else None):
         flat = np.ones(color.shape[:2], np.float32)
-        return Buffers(color, flat, velocity, curve, group.channels, None, kind, guess)
+        return Buffers(color, flat, velocity, curve, group.channels, None, "flat", guess)
     depth_info = inspect(depth_from) if depth_from else info
     taken = guess.channels if depth_info.path == vector_info.path else ()
     channel = choose_depth(
         depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
     )
+    kind = _depth_kind(depth, guess, channel, path)
     raw_depth = _read_data(depth_info, [channel], info, group.channels[0])[..., 0]
     distance = to_distance(raw_depth, kind, depth_info.path, channel)
     return Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
@@ -265,11 +265,14 @@ def _read_color(info: FileInfo, group: ColorGroup, non_finite: str) -> np.ndarra
     return color
 
 
-def _depth_kind(depth: str, guess: vectors.Guess, path: PathLike) -> str:
+def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
     """Settle "auto"; warn where it means more than a plain distance."""
     if depth != "auto":
         return depth
     kind = guess.preset.depth
+    if kind == "1/z" and channel == "Z":
+        # OpenEXR reserves the plain name for distance; what inverts it names a layer.
+        return "z"
     if kind != "z":
         warnings.warn(
             f"{path}: depth is read as {kind}, as {guess.preset.name} usually writes it; pass "

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..frame import Frame, check_frame
+from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
 from ..sampling import (
@@ -190,6 +190,7 @@ def _tile_choices(height, width, parameters, settings, noise):
 
 def _prepare(frame, parameters, settings, noise):
     """Checked inputs in one dtype, clamped velocities, and the dominant velocities (1 to 3)."""
+    check_parameters(parameters, GuertinParameters)
     frame = check_frame(frame)
     noise = resolve_noise(noise, settings.noise, *frame.depth.shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)

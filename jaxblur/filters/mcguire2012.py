@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..frame import Frame, check_frame
+from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sampling import (
@@ -104,6 +104,7 @@ def mcguire2012(
             f"`settings.samples` must be odd for mcguire2012, got {settings.samples}; "
             f"use {settings.samples + 1}."
         )
+    check_parameters(parameters, McGuireParameters)
     frame = check_frame(frame)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)

@@ -14,6 +14,8 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ..settings import Settings
+
 SCHEMA = 1
 
 
@@ -133,8 +135,6 @@ class FitResult:
     @property
     def filter_settings(self) -> Any:
         """The settings of the run that was fitted, as a `jaxblur.Settings`."""
-        from ..settings import Settings
-
         return Settings(**typing.cast(dict[str, Any], self.settings))
 
     def mean_score(self, figure: str, part: str, parameters: str, region: str = "whole") -> float:
@@ -194,13 +194,16 @@ class FitResult:
         schema = content.pop("schema", None)
         if schema != SCHEMA:
             raise ValueError(
-                f"{path}: `schema` must be {SCHEMA}, got {schema}; fit again, or use the version "
+                f"{path}: 'schema' must be {SCHEMA}, got {schema}; fit again, or use the version "
                 "of jaxblur that wrote it."
             )
         try:
-            return _decode(FitResult, content, "")
+            result = _decode(FitResult, content, "")
+            _check_settings(result.settings)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+            # Plain quotes: these are keys of the file, not arguments of a caller.
+            raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
+        return result
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
@@ -227,6 +230,16 @@ def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
         for entry in [value] if single else value:
             lines += ["", f"[{name}]" if single else f"[[{name}]]", *_lines(entry, f"{name}.")]
     return lines
+
+
+def _check_settings(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that are unknown, missing, or have no such value."""
+    known = {field.name for field in dataclasses.fields(Settings)}
+    for name in settings.keys() - known:
+        raise ValueError(f"unknown key `settings.{name}`; remove it.")
+    for name in known - settings.keys():
+        raise ValueError(f"missing key `settings.{name}`; fit again.")
+    Settings(**typing.cast(dict[str, Any], settings))
 
 
 def _is_table(value: Any) -> bool:

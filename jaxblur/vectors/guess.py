@@ -51,8 +51,9 @@ def guess_preset(channel_names: Sequence[str]) -> Guess:
     ]
     if not guesses:
         raise ValueError(
-            f"no motion vectors recognized among {describe_names(channel_names)}; "
-            "name the convention with `preset` and, if need be, `velocity_channels`."
+            f"no motion vectors recognized among {describe_names(channel_names)}; render the "
+            "pass, name the file that has them with `velocity_from`, or, where they are among "
+            "these channels, name them with `velocity_channels` and their convention with `preset`."
         )
     return _only(guesses)
 
