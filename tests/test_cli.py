@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -155,7 +154,6 @@ def test_control_c_ends_a_running_process(tmp_path):
     for line in process.stderr:
         if "depth:" in line:
             break
-    time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     rest = process.communicate(timeout=60)[1]
     assert process.returncode == 130
