@@ -149,7 +149,7 @@ def read_tap(position, shape, border):
 
 
 def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, settings, to_center):
-    """One output pixel; `to_center(i)` says which taps follow the center direction."""
+    """One output pixel; `to_center[i]` says which taps follow the center direction."""
     reach = math.hypot(*vmax)
     if reach <= 0.5:
         return color[row, column]
@@ -167,7 +167,7 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
     for i in range(n):
         j = tap * parameters["eta"] * parameters["phi"] / n
         t = -1 + 2 * (i + 1 + j) / (n + 1)
-        direction = center if to_center(i) else along
+        direction = center if to_center[i] else along
         position = np.array([column, row]) + t * reach * direction
         texel, counts = read_tap(position, depth.shape, settings["border"])
         if not counts:
@@ -198,6 +198,17 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
     return (total + center_weight * color[row, column]) / (weights + center_weight)
 
 
+def second_direction(settings, share):
+    """Which of the taps follow the center direction."""
+    n = settings["samples"]
+    if settings["directions"] == "one":
+        return [False] * n
+    if settings["split"] == "even":
+        return [i % 2 == 1 for i in range(n)]
+    taps = round(share * n)
+    return [(i + 1) * taps // n > i * taps // n for i in range(n)]
+
+
 def guertin2014(color, depth, velocity, parameters, settings, tap, tile):
     """The whole filter; `settings` is a dict with the fields of jaxblur.Settings."""
     color, depth = color.astype(np.float64), depth.astype(np.float64)
@@ -209,21 +220,7 @@ def guertin2014(color, depth, velocity, parameters, settings, tap, tile):
     out = np.zeros_like(color)
 
     def pixel(row, column, which):
-        if settings["directions"] == "one":
-
-            def to_center(i):
-                return False
-        elif settings["split"] == "even":
-
-            def to_center(i):
-                return i % 2 == 1
-        else:
-            share = bilinear(variance, (column + 0.5) / radius - 0.5, (row + 0.5) / radius - 0.5)
-            taps, n = round(share * settings["samples"]), settings["samples"]
-
-            def to_center(i):
-                return (i + 1) * taps // n > i * taps // n
-
+        share = bilinear(variance, (column + 0.5) / radius - 0.5, (row + 0.5) / radius - 0.5)
         return guertin_pixel(
             color,
             depth,
@@ -234,7 +231,7 @@ def guertin2014(color, depth, velocity, parameters, settings, tap, tile):
             tap[row, column],
             parameters,
             settings,
-            to_center,
+            second_direction(settings, share),
         )
 
     for row, column in np.ndindex(height, width):
