@@ -96,10 +96,14 @@ def _walk_lanes(
         return (k < limit) & jnp.any(~done)
 
     def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        k, done, taken, reach, own, lines = state
+        k, done, taken, settled, since, reach, own, lines = state
         place = jnp.minimum(head + k, intervals.cell.shape[0] - 1)
         here = ~done & (k < length)
-        mask = jnp.where(here, intervals.mask[:, place], jnp.uint32(0))
+        # Bits taken so far are out of reach if all that took them lie before what comes now.
+        clear = intervals.nearest[place] >= reach
+        settled = jnp.where(clear, taken, settled)
+        since, reach = jnp.where(clear, k, since), jnp.where(clear, -jnp.inf, reach)
+        mask = jnp.where(here, intervals.mask[:, place] & ~settled, jnp.uint32(0))
         line = intervals.line[:, place]
 
         def meet(j: Array, pair: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -107,26 +111,29 @@ def _walk_lanes(
             before = nearer_bits(line - lines[j], bits)
             return mask & ~(own[j] & ~before), own.at[j].set(own[j] & ~(mask & before))
 
-        # Only where depths overlap may what came earlier lie behind; pairs are looked at there.
-        tangled = here & (intervals.nearest[place] < reach) & jnp.any(mask & taken, axis=0)
-        mask = jnp.where(tangled, mask, mask & ~taken)
-        pairs = jnp.where(jnp.any(tangled), k, 0)
-        mask, own = jax.lax.fori_loop(0, pairs, meet, (mask, own))
-        own, lines = own.at[k].set(mask), lines.at[k].set(line)
+        first = jnp.min(jnp.where(jnp.any(mask & taken, axis=0), since, k))
+        reach = jnp.where(
+            jnp.any(mask != 0, axis=0), jnp.maximum(reach, intervals.farthest[place]), reach
+        )
         taken = taken | mask
-        reach = jnp.where(here, jnp.maximum(reach, intervals.farthest[place]), reach)
+        mask, own = jax.lax.fori_loop(first, k, meet, (mask, own))
+        own, lines = own.at[k].set(mask), lines.at[k].set(line)
         # The mask is full, and what comes next lies behind all that has been seen.
         following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
         full = jnp.all(taken == jnp.uint32(FULL), axis=0) & (following >= reach)
-        return k + 1, done | full | (k + 1 >= length), taken, reach, own, lines
+        done = done | full | (k + 1 >= length)
+        return k + 1, done, taken, settled, since, reach, own, lines
 
+    none = jnp.zeros((words, lanes), jnp.uint32)
     start = (
         jnp.int32(0),
         length == 0,
-        jnp.zeros((words, lanes), jnp.uint32),
+        none,
+        none,
+        jnp.zeros(lanes, jnp.int32),
         jnp.full(lanes, -jnp.inf),
         jnp.zeros((most, words, lanes), jnp.uint32),
         jnp.zeros((most, 2, lanes)),
     )
-    steps, done, _, _, own, _ = jax.lax.while_loop(unfinished, step, start)
+    steps, done, _, _, _, _, own, _ = jax.lax.while_loop(unfinished, step, start)
     return own, steps, jnp.sum(~done)
