@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax
 import pytest
 from jaxtyping import install_import_hook
 
@@ -43,3 +44,10 @@ def reference_data(request) -> Path:
     if folder is None:
         pytest.skip("needs rendered scenes: pass --reference-data=DIR")
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_compiled_programs():
+    """Each compiled program holds memory maps, and the kernel allows 65,530 to a process."""
+    yield
+    jax.clear_caches()
