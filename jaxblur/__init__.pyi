@@ -3,6 +3,7 @@ from . import (
     fitting as fitting,
     metrics as metrics,
     scenes as scenes,
+    show as show,
     vectors as vectors,
 )
 from .exr import read_frame as read_frame, write_image as write_image

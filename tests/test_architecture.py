@@ -24,9 +24,11 @@ MAY_IMPORT = {
     "exr": LOWEST | {"vectors"},
     "pictures": LOWEST | {"exr", "metrics"},
     "sequence": LOWEST | {"exr", "vectors"},
-    "fitting": CORE | JUDGES | FILES,
+    "show": CORE | {"metrics", "srgb"},
+    "report": LOWEST | {"exr", "metrics", "show"},
+    "fitting": CORE | JUDGES | FILES | {"show"},
     "planning": LOWEST | {"tiles", "filters", "vectors"},
-    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting", "planning"}),
+    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting", "planning", "report"}),
     "__main__": {"cli"},
 }
 

@@ -1,0 +1,162 @@
+"""Speed against error: which settings are worth their time."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from .figures import figure_and_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """How long something took and how wrong it was.
+
+    Attributes:
+        label: short text beside the point.
+        time: above 0, such as milliseconds.
+        error: above 0, less is better, such as FLIP.
+        group: what shares a color, such as the name of the filter.
+        published: drawn as a star: settings as their authors published them.
+        time_range: (low, high) of the time, such as a confidence interval, or None.
+        error_range: (low, high) of the error, or None.
+    """
+
+    label: str
+    time: float
+    error: float
+    group: str = ""
+    published: bool = False
+    time_range: tuple[float, float] | None = None
+    error_range: tuple[float, float] | None = None
+
+
+def pareto_front(points: Sequence[Measurement]) -> list[Measurement]:
+    """The points that no other point beats in time and in error.
+
+    Args:
+        points: in any order. Of points that agree in both the first is kept.
+
+    Returns:
+        From quick to exact: time strictly rises and error strictly falls.
+
+    >>> slow, quick = Measurement("slow", 2.0, 0.1), Measurement("quick", 1.0, 0.2)
+    >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), quick])]
+    ['quick', 'slow']
+    """
+    front: list[Measurement] = []
+    for point in sorted(points, key=lambda point: (point.time, point.error)):
+        if not front or point.error < front[-1].error:
+            front.append(point)
+    return front
+
+
+def pareto(
+    points: Sequence[Measurement],
+    *,
+    time_label: str = "time, ms",
+    error_label: str = "FLIP, less is better",
+    labels: str = "front",
+    axes: "Axes | None" = None,
+) -> "Figure":
+    """Draw time against error on logarithmic axes, with the front as a line.
+
+    Groups have a color and a marker each, published settings are stars with a black rim, and
+    ranges are drawn as bars.
+
+    Args:
+        points: at least one.
+        time_label: of the horizontal axis.
+        error_label: of the vertical axis.
+        labels: which points carry their label: ``front`` (and the published ones), ``all`` or
+            ``none``.
+        axes: where to draw.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: there is no point, a time or an error is not a finite number above 0, or
+            ``labels`` is unknown.
+    """
+    _check(points, labels)
+    figure, axes = figure_and_axes(axes, 7.0, 4.5)
+    front = pareto_front(points)
+    # Ranges may reach 0, which has no place on a logarithmic axis.
+    axes.set_xscale("log", nonpositive="clip")
+    axes.set_yscale("log", nonpositive="clip")
+    axes.plot(
+        [point.time for point in front],
+        [point.error for point in front],
+        drawstyle="steps-post",
+        color="gray",
+        linewidth=1,
+        zorder=1,
+        label="front",
+    )
+    groups = list(dict.fromkeys(point.group for point in points))
+    for number, group in enumerate(groups):
+        _draw_group(axes, [p for p in points if p.group == group], group, number)
+    wanted = {"all": points, "none": (), "front": [p for p in points if p in front or p.published]}
+    for point in wanted[labels]:
+        _draw_label(axes, point)
+    axes.set(xlabel=time_label, ylabel=error_label)
+    axes.grid(which="both", alpha=0.2)
+    axes.legend(fontsize="small")
+    return figure
+
+
+MARKERS = "osD^vPX<>h"
+
+
+def _check(points: Sequence[Measurement], labels: str) -> None:
+    if labels not in ("front", "all", "none"):
+        raise ValueError(f"`labels` must be 'front', 'all' or 'none', got {labels!r}.")
+    if not points:
+        raise ValueError("`points` must hold at least one measurement.")
+    for point in points:
+        for name in ("time", "error"):
+            value = getattr(point, name)
+            if not 0 < value < math.inf:
+                raise ValueError(
+                    f"`points` must have a finite {name} above 0 for logarithmic axes, got "
+                    f"{value:g} for {point.label!r}; leave it out."
+                )
+
+
+def _draw_group(axes: Any, points: Sequence[Measurement], group: str, number: int) -> None:
+    """One color and marker; the published ones as stars."""
+    color, marker = f"C{number % 10}", MARKERS[number % len(MARKERS)]
+    plain = [point for point in points if not point.published]
+    stars = [point for point in points if point.published]
+    for part, style in (
+        (plain, {"marker": marker, "s": 30, "label": group or None}),
+        (stars, {"marker": "*", "s": 160, "edgecolors": "black", "linewidths": 0.8}),
+    ):
+        if part:
+            if part is stars:
+                style["label"] = f"{group} as published".strip()
+            axes.scatter(
+                [p.time for p in part], [p.error for p in part], color=color, zorder=3, **style
+            )
+    for point in points:
+        if point.time_range:
+            axes.plot(point.time_range, [point.error] * 2, color=color, linewidth=1, zorder=2)
+        if point.error_range:
+            axes.plot([point.time] * 2, point.error_range, color=color, linewidth=1, zorder=2)
+
+
+def _draw_label(axes: Any, point: Measurement) -> None:
+    axes.annotate(
+        point.label,
+        (point.time, point.error),
+        xytext=(5, 4),
+        textcoords="offset points",
+        fontsize="x-small",
+        # Labels come from files too: no dollar sign of theirs starts a formula.
+        parse_math=False,
+    )
