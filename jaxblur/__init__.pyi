@@ -6,6 +6,7 @@ from . import (
     show as show,
     vectors as vectors,
 )
+from .batch import blur_batch as blur_batch
 from .exr import read_frame as read_frame, write_image as write_image
 from .filters import (
     FILTERS as FILTERS,
@@ -19,6 +20,7 @@ from .filters import (
 from .fitting import FitResult as FitResult, fit as fit
 from .frame import Frame as Frame
 from .noise import Noise as Noise
+from .nonfinite import finite_frame as finite_frame
 from .planning import (
     FrameStatistics as FrameStatistics,
     Plan as Plan,

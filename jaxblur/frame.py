@@ -10,6 +10,7 @@ depth    (H, W)       positive distance along the view axis, scene units; ``+inf
 velocity (H, W, 2)    **half-spread** in pixels, ``(x right, y down)``
 path     (H, W, 2, 2) optional: displacement of the point, in pixels ``(x right, y down)``, at
                       shutter opening ``[..., 0, :]`` and at shutter closing ``[..., 1, :]``
+valid    (H, W)       optional: False or 0 where the color is unknown; filters leave it out
 ======== ============ =====================================================================
 
 Pixels are ``row, column``; row 0 is the top. A surface point at pixel ``p`` covers
@@ -32,7 +33,7 @@ import jax.numpy as jnp
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """One sharp frame: color, depth and velocity buffers, and optionally curved paths.
+    """One sharp frame: color, depth and velocity buffers, optionally curved paths and a mask.
 
     A pytree of arrays without a batch axis; batch with ``jax.vmap``. Units, axes and signs are
     those of the module docstring.
@@ -42,19 +43,23 @@ class Frame:
         depth: (H, W) positive planar depth, ``+inf`` for sky.
         velocity: (H, W, 2) half-spread in pixels, x right, y down.
         path: (H, W, 2, 2) displacement at shutter opening and closing in pixels, or None.
+        valid: (H, W) False or 0 where the color is unknown, or None: such a sample contributes
+            neither color nor weight, see `jaxblur.finite_frame`.
     """
 
     color: jax.Array
     depth: jax.Array
     velocity: jax.Array
     path: jax.Array | None = None
+    valid: jax.Array | None = None
 
 
 def check_frame(frame: Frame) -> Frame:
     """Check shapes and return the frame as floating-point JAX arrays of one dtype.
 
-    Half-precision and integer buffers become float32; float64 buffers stay float64 where JAX
-    has 64-bit types enabled. Values are not looked at (that is done where files are read).
+    Half-precision, integer and boolean buffers become float32; float64 buffers stay float64 where
+    JAX has 64-bit types enabled. Values are not looked at (that is done where files are read, and
+    by `jaxblur.finite_frame`).
 
     Args:
         frame: buffers as NumPy or JAX arrays.
@@ -77,7 +82,7 @@ def check_frame(frame: Frame) -> Frame:
             "add a channel axis, or apply jax.vmap over a batch axis."
         )
     size = color.shape[:2]
-    expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2)}
+    expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2), "valid": size}
     for name, shape in expected.items():
         if name in buffers and buffers[name].shape != shape:
             raise ValueError(

@@ -9,26 +9,28 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
-LOWEST = {"frame", "safe_math", "noise", "settings", "srgb"}
+LOWEST = {"frame", "safe_math", "noise", "nonfinite", "settings", "srgb"}
 OPERATORS = {"tiles", "weights", "sampling"}
 CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 FILES = {"vectors", "exr", "pictures", "sequence"}
+MIDDLE = {"batch", "fitting", "planning", "report"}
 TOP = {"cli", "demo", "__main__"}
 
 MAY_IMPORT = {
     **dict.fromkeys(LOWEST | OPERATORS | JUDGES, LOWEST),
     "filters": LOWEST | OPERATORS,
+    "batch": LOWEST | {"filters"},
     "vectors": LOWEST,
     "exr": LOWEST | {"vectors"},
     "pictures": LOWEST | {"exr", "metrics"},
     "sequence": LOWEST | {"exr", "vectors"},
     "show": CORE | {"metrics", "srgb"},
     "report": LOWEST | {"exr", "metrics", "show"},
-    "fitting": CORE | JUDGES | FILES | {"show"},
+    "fitting": CORE | JUDGES | FILES | {"show", "batch"},
     "planning": LOWEST | {"tiles", "filters", "vectors"},
-    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | {"fitting", "planning", "report"}),
+    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | MIDDLE),
     "__main__": {"cli"},
 }
 

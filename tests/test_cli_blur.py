@@ -249,16 +249,17 @@ def test_outputs_that_cannot_be_written(tmp_path, name, word):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nan_vectors_are_refused_by_name_or_zeroed_with_a_warning(tmp_path):
+def test_nan_vectors_are_refused_by_name_or_taken_as_still_with_a_warning(tmp_path):
     channels = plain_frame((12, 16))
     channels["velocity.Y"][3, 5] = np.nan
     frame, out = write_single(tmp_path / "nan.exr", channels), tmp_path / "out.exr"
     message = refused("blur", frame, "-o", out)
     assert "nan.exr: velocity.Y: 1 of 192 pixels are NaN" in message
-    assert "row 3, column 5" in message and "--non-finite=zero" in message
+    assert "row 3, column 5" in message and "--nonfinite=ignore" in message
     assert not out.exists()
-    outcome = run("blur", frame, "-o", out, "--non-finite", "zero")
+    outcome = run("blur", frame, "-o", out, "--nonfinite", "ignore")
     assert outcome.status == 0 and "jaxblur: warning: " in outcome.err
+    assert "1 vectors taken as still" in outcome.out
     assert np.isfinite(exr.read_image(out)).all()
 
 

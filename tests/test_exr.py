@@ -10,6 +10,7 @@ import OpenImageIO as oiio
 import pytest
 
 from jaxblur import exr
+from jaxblur.nonfinite import Ignored
 from tests.exr_files import (
     CAR,
     CUBE,
@@ -188,9 +189,9 @@ def test_flat_depth_asks_for_no_depth_channel(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "stored", "distance"),
     [
-        ("z", [2, 1e9, 1e10, np.inf, np.nan, 0], [2, *[np.inf] * 5]),
+        ("z", [2, 1e9, 1e10, np.inf, 0], [2, *[np.inf] * 4]),
         ("-z", [-2, -1e10, -np.inf, 0], [2, *[np.inf] * 3]),
-        ("1/z", [0.5, 0, 4, np.nan], [2, np.inf, 0.25, np.inf]),
+        ("1/z", [0.5, 0, 4], [2, np.inf, 0.25]),
         ("normalized-near1", [1, 0.25, 0], [1, 1.75, np.inf]),
     ],
 )
@@ -222,20 +223,51 @@ def test_depth_of_another_kind_is_refused(tmp_path, kind, value, message):
 
 @pytest.mark.parametrize("name", ["G", "velocity.Y"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_non_finite_values_are_refused_or_zeroed(tmp_path, name, value):
+def test_non_finite_values_are_refused_or_left_out(tmp_path, name, value):
     channels = plain_frame()
     channels[name][2, 3] = channels[name][3, 0] = value
     path = write_single(tmp_path / "a.exr", channels)
     message = rf"a.exr: {name}: 2 of 24 pixels are NaN or infinite \(first at row 2, column 3\)"
     with pytest.raises(exr.JaxblurIOError, match=message):
         exr.read_frame(path)
-    with pytest.warns(exr.JaxblurIOWarning, match="2 pixels with NaN or infinity in"):
-        buffers = exr.read_buffers(path, non_finite="zero")
-    target = buffers.color[..., 1] if name == "G" else buffers.velocity[..., 1]
-    assert target[2, 3] == 0 and np.isfinite(target).all()
-    kept = exr.read_buffers(path, non_finite="keep")
+    with pytest.warns(exr.JaxblurIOWarning, match="2 pixels with NaN or infinity in .* ignored"):
+        buffers = exr.read_buffers(path, nonfinite="ignore")
+    assert np.isfinite(buffers.color).all() and np.isfinite(buffers.velocity).all()
+    if name == "G":
+        assert buffers.ignored == Ignored(color=2)
+        assert buffers.valid is not None and np.argwhere(~buffers.valid).tolist() == [
+            [2, 3],
+            [3, 0],
+        ]
+    else:
+        assert buffers.ignored == Ignored(velocity=2) and buffers.valid is None
+        assert (buffers.velocity[2, 3] == 0).all()
+    kept = exr.read_buffers(path, nonfinite="keep")
     kept_target = kept.color[..., 1] if name == "G" else kept.velocity[..., 1]
     assert (~np.isfinite(kept_target)).sum() == 2
+
+
+def test_unknown_vectors_rest_whatever_value_stands_for_rest(tmp_path):
+    channels = {name: plain_frame()[name] for name in "RGBZ"}
+    channels |= {f"Velocity.{c}": np.full((4, 6), 0.75, np.float32) for c in "RG"}
+    channels["Velocity.R"][1, 1] = np.nan
+    path = write_single(tmp_path / "a.exr", channels)
+    with pytest.warns(exr.JaxblurIOWarning):
+        frame = exr.read_frame(path, max_displace=8, depth="z", nonfinite="ignore")
+    velocity = np.asarray(frame.velocity)
+    assert (velocity[1, 1] == 0).all()
+    assert (np.delete(velocity.reshape(-1, 2), 7, axis=0) != 0).all()
+
+
+def test_unknown_depth_is_refused_or_sky(tmp_path):
+    channels = plain_frame()
+    channels["Z"][1, 2] = np.nan
+    path = write_single(tmp_path / "a.exr", channels)
+    with pytest.raises(exr.JaxblurIOError, match=r"a.exr: Z: 1 of 24 pixels are NaN"):
+        exr.read_frame(path)
+    with pytest.warns(exr.JaxblurIOWarning, match="1 pixels with NaN in Z"):
+        buffers = exr.read_buffers(path, nonfinite="ignore")
+    assert np.isposinf(buffers.depth[1, 2]) and buffers.ignored == Ignored(depth=1)
 
 
 def test_impossible_speeds_are_refused(tmp_path):
@@ -307,7 +339,7 @@ def test_wrong_arguments_are_refused_before_the_file_is_opened():
         ({"preset": "maya"}, "`preset` must be auto or one of"),
         ({"shutter": -1}, "`shutter` must be"),
         ({"depth": "w"}, "`depth` must be auto or one of z, -z"),
-        ({"non_finite": "ignore"}, "`non_finite` must be"),
+        ({"nonfinite": "zero"}, "`nonfinite` must be error or ignore or keep"),
     )
     for options, message in refusals:
         with pytest.raises(ValueError, match=message):

@@ -27,7 +27,13 @@ from .arguments import (
 )
 from .compute import start_jax
 from .console import print_line, print_table
-from .filtering import add_filter_options, apply_filter, complete
+from .filtering import (
+    add_filter_options,
+    add_nonfinite_option,
+    apply_filter,
+    complete,
+    report_ignored,
+)
 
 LOG = logging.getLogger("jaxblur")
 
@@ -101,12 +107,7 @@ def _add_source_options(parser: argparse.ArgumentParser) -> None:
         metavar="KIND",
         help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
     )
-    group.add_argument(
-        "--non-finite",
-        choices=("error", "zero"),
-        default="error",
-        help="what to do about NaN and infinity in color or vectors (default %(default)s)",
-    )
+    add_nonfinite_option(group)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -142,6 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in outputs:
         print_line(f"{output}")
+    report_ignored(arguments.input, buffers.ignored)
     if scores:
         print_table(SCORE_COLUMNS, scores)
     return 0
@@ -164,7 +166,7 @@ def read_buffers(arguments: argparse.Namespace) -> Any:
         color_channels=arguments.color_channels,
         velocity_channels=arguments.velocity_channels,
         depth_channel=arguments.depth_channel,
-        non_finite=arguments.non_finite,
+        nonfinite=arguments.nonfinite,
     )
     LOG.info("color: %s", ", ".join(buffers.color_channels))
     LOG.info("vectors: %s", buffers.guess.reason)

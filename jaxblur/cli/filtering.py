@@ -9,6 +9,7 @@ from jaxblur.settings import CHOICES, Settings
 
 from . import published
 from .arguments import CommandError, one_of, positive_integer
+from .console import print_line
 
 
 def add_filter_options(parser: argparse.ArgumentParser) -> Any:
@@ -51,6 +52,32 @@ def add_filter_options(parser: argparse.ArgumentParser) -> Any:
             help=f"default {getattr(Settings(), name)}",
         )
     return group
+
+
+def add_nonfinite_option(group: Any) -> None:
+    """Add the option that says what becomes of NaN and infinity; `report_ignored` tells the count.
+
+    Args:
+        group: of a parser.
+    """
+    group.add_argument(
+        "--nonfinite",
+        choices=("error", "ignore"),
+        default="error",
+        help="NaN and infinity: refuse the frame, or leave such colors out, take such vectors as "
+        "still and such depths as sky, and print how many there were (default %(default)s)",
+    )
+
+
+def report_ignored(path: Any, ignored: Any) -> None:
+    """Print how many pixels of a frame were left out, if there were any.
+
+    Args:
+        path: the frame.
+        ignored: a `jaxblur.nonfinite.Ignored`.
+    """
+    if ignored:
+        print_line(f"{path}: not finite: {ignored}")
 
 
 def complete(
@@ -107,7 +134,7 @@ def apply_filter(
     from jaxblur.filters import FILTERS, PUBLISHED
     from jaxblur.frame import Frame
 
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path, buffers.valid)
     record = PUBLISHED[name][0]
     chosen = None if record is None else dataclasses.replace(record, **parameters)
     return np.asarray(FILTERS[name](frame, chosen, settings=settings))

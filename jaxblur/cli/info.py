@@ -98,7 +98,7 @@ def _velocity(info: Any, guess: Any, arguments: argparse.Namespace) -> Any:
         layer=arguments.layer,
         color_channels=color,
         velocity_channels=arguments.velocity_channels,
-        non_finite="keep",
+        nonfinite="keep",
     ).velocity
 
 

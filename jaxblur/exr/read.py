@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxblur import srgb, vectors
+from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
 
 from .choose import ColorGroup, choose_color, choose_depth, choose_vectors
 from .files import (
@@ -44,6 +45,9 @@ class Buffers:
         depth_channel: full name, or None where depth is flat.
         depth_kind: how depth was read.
         guess: convention and channels of the vectors, and why.
+        valid: (H, W) False where the color is NaN or infinite and is to be left out, or None
+            where all of it is used.
+        ignored: how many pixels ``nonfinite="ignore"`` left out.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -54,6 +58,8 @@ class Buffers:
     depth_channel: str | None
     depth_kind: str
     guess: vectors.Guess
+    valid: Bool[np.ndarray, "height width"] | None = None
+    ignored: Ignored = NONE_IGNORED
 
 
 class ReadOptions(TypedDict, total=False):
@@ -68,7 +74,7 @@ class ReadOptions(TypedDict, total=False):
     color_channels: Sequence[str] | None
     velocity_channels: Sequence[str] | None
     depth_channel: str | None
-    non_finite: Literal["error", "zero"]
+    nonfinite: Nonfinite
 
 
 def read_frame(
@@ -100,6 +106,7 @@ def read_frame(
         depth=jnp.asarray(buffers.depth),
         velocity=jnp.asarray(buffers.velocity),
         path=None if buffers.path is None else jnp.asarray(buffers.path),
+        valid=None if buffers.valid is None else jnp.asarray(buffers.valid),
     )
 
 
@@ -117,7 +124,7 @@ def read_buffers(
     color_channels: Sequence[str] | None = None,
     velocity_channels: Sequence[str] | None = None,
     depth_channel: str | None = None,
-    non_finite: Literal["error", "zero", "keep"] = "error",
+    nonfinite: Nonfinite | Literal["keep"] = "error",
 ) -> Buffers:
     """Read color, depth and vectors, convert and check them; jax is not loaded.
 
@@ -138,8 +145,8 @@ def read_buffers(
         color_channels: full names of the color channels.
         velocity_channels: full names of the vector channels, x and y of each pair.
         depth_channel: full name of the depth channel.
-        non_finite: NaN and infinity in color or vectors: "error", "zero" with a warning, or
-            "keep" for looking at them.
+        nonfinite: NaN and infinity in color or vectors, and NaN in depth: "error", "ignore" (with
+            a warning; see `jaxblur.nonfinite`), or "keep" for looking at them.
 
     Returns:
         The buffers, all of one size.
@@ -149,35 +156,42 @@ def read_buffers(
             are out of range or not finite, or sizes differ. The message names file and channel.
         ValueError: an argument that does not depend on the file is wrong.
     """
-    _check_arguments(preset, shutter, depth, non_finite)
+    _check_arguments(preset, shutter, depth, nonfinite)
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    color = _read_color(info, group, non_finite)
+    color, unknown = _finite(info.path, group.channels, _linear_color(info, group), nonfinite)
 
     vector_info = inspect(velocity_from) if velocity_from else info
     guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
     raw = _read_data(vector_info, guess.channels, info, group.channels[0])
-    raw = _finite(raw, vector_info.path, guess.channels, non_finite)
+    raw, still = _finite(vector_info.path, guess.channels, raw, nonfinite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     # Damaged values overflow here; the check below or the caller's statistics report them.
     with np.errstate(invalid="ignore", over="ignore"):
         displacements = _decode(vector_info, guess, raw, alpha, max_displace, file_shutter)
         velocity, curve = vectors.to_half_spread(displacements, shutter)
-    if non_finite != "keep":
+    velocity = _stopped(velocity, still)
+    curve = None if curve is None else _stopped(curve, still)
+    if nonfinite != "keep":
         _check_speed(velocity, vector_info.path, guess)
 
-    if "flat" in (depth, guess.preset.depth if depth == "auto" else None):
-        flat = np.ones(color.shape[:2], np.float32)
-        return Buffers(color, flat, velocity, curve, group.channels, None, "flat", guess)
-    depth_info = inspect(depth_from) if depth_from else info
-    taken = guess.channels if depth_info.path == vector_info.path else ()
-    channel = choose_depth(
-        depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
+    distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
+    channel, kind = None, "flat"
+    if "flat" not in (depth, guess.preset.depth if depth == "auto" else None):
+        depth_info = inspect(depth_from) if depth_from else info
+        taken = guess.channels if depth_info.path == vector_info.path else ()
+        channel = choose_depth(
+            depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
+        )
+        kind = _depth_kind(depth, guess, channel, path)
+        raw_depth = _read_data(depth_info, [channel], info, group.channels[0])
+        lost = _without_depth(depth_info.path, channel, raw_depth, nonfinite)
+        distance = to_distance(raw_depth[..., 0], kind, depth_info.path, channel)
+    return Buffers(
+        *(color, distance, velocity, curve, group.channels, channel, kind, guess),
+        valid=~unknown if unknown.any() else None,
+        ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),
     )
-    kind = _depth_kind(depth, guess, channel, path)
-    raw_depth = _read_data(depth_info, [channel], info, group.channels[0])[..., 0]
-    distance = to_distance(raw_depth, kind, depth_info.path, channel)
-    return Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
 
 
 def read_image(
@@ -200,7 +214,7 @@ def read_image(
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    return _read_color(info, group, "error")
+    return _finite(info.path, group.channels, _linear_color(info, group), "error")[0]
 
 
 def to_distance(
@@ -246,19 +260,18 @@ _NEGATIVE_DEPTH = {
 }
 
 
-def _check_arguments(preset: str, shutter: float, depth: str, non_finite: str) -> None:
+def _check_arguments(preset: str, shutter: float, depth: str, nonfinite: str) -> None:
     if preset != "auto":
         vectors.known_preset(preset)
     vectors.check_shutter(shutter, "shutter")
     if depth not in ("auto", *DEPTH_KINDS):
         raise ValueError(f"`depth` must be auto or one of {', '.join(DEPTH_KINDS)}; got {depth!r}.")
-    if non_finite not in ("error", "zero", "keep"):
-        raise ValueError(f"`non_finite` must be error, zero or keep; got {non_finite!r}.")
+    check_policy(nonfinite, "keep")
 
 
-def _read_color(info: FileInfo, group: ColorGroup, non_finite: str) -> np.ndarray:
+def _linear_color(info: FileInfo, group: ColorGroup) -> np.ndarray:
     """Read the color as linear light; integer files hold sRGB."""
-    color = _finite(read_channels(info.path, group.channels), info.path, group.channels, non_finite)
+    color = read_channels(info.path, group.channels)
     for index, name in enumerate(group.channels):
         if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
             color[..., index] = srgb.decode(color[..., index])
@@ -349,23 +362,46 @@ def _warn_lossy(info: FileInfo, channel: Channel) -> None:
 
 
 def _finite(
-    values: np.ndarray, path: PathLike, names: Sequence[str], non_finite: str
-) -> np.ndarray:
-    """Refuse or zero NaN and infinity, channel by channel."""
-    bad = ~np.isfinite(values)
-    if non_finite == "keep" or not bad.any():
-        return values
-    if non_finite == "error":
-        remedy = "repair it, or read it with non_finite='zero'."
+    path: PathLike, names: Sequence[str], values: np.ndarray, nonfinite: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Refuse NaN and infinity channel by channel, or set those pixels to 0 and say which."""
+    somewhere = not_finite(values)
+    if nonfinite == "keep" or not somewhere.any():
+        return values, np.zeros_like(somewhere)
+    if nonfinite == "error":
         for index, name in enumerate(names):
-            _refuse(bad[..., index], path, name, "NaN or infinite", remedy)
+            bad = not_finite(values[..., index])
+            _refuse(bad, path, name, "NaN or infinite", _IGNORE)
+    _warn_ignored(path, ", ".join(names), int(somewhere.sum()), "NaN or infinity")
+    return np.where(somewhere[..., None], np.float32(0), values), somewhere
+
+
+_IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
+
+
+def _without_depth(path: PathLike, name: str, raw: np.ndarray, nonfinite: str) -> np.ndarray:
+    """Refuse NaN in depth, or say where it counts as sky."""
+    bad = np.isnan(raw[..., 0])
+    if nonfinite == "error":
+        _refuse(bad, path, name, "NaN", _IGNORE)
+    if bad.any() and nonfinite == "ignore":
+        _warn_ignored(path, name, int(bad.sum()), "NaN")
+    return bad & (nonfinite == "ignore")
+
+
+def _warn_ignored(path: PathLike, names: str, count: int, what: str) -> None:
     warnings.warn(
-        f"{path}: {bad.any(axis=-1).sum()} pixels with NaN or infinity in {', '.join(names)} "
-        "were set to 0.",
+        f"{path}: {count} pixels with {what} in {names} are ignored.",
         JaxblurIOWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
-    return np.where(bad, np.float32(0), values)
+
+
+def _stopped(motion: np.ndarray, still: np.ndarray) -> np.ndarray:
+    """Set velocities or paths to 0 where they are unknown: raw values may rest elsewhere."""
+    if not still.any():
+        return motion
+    return np.where(still.reshape(*still.shape, *(1,) * (motion.ndim - 2)), np.float32(0), motion)
 
 
 def _check_speed(velocity: np.ndarray, path: PathLike, guess: vectors.Guess) -> None:

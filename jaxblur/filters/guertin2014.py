@@ -36,6 +36,7 @@ from ..weights import (
     floored_speed,
     relative_closeness,
 )
+from .masking import append_mask, divide_by_mask
 
 REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
@@ -167,7 +168,7 @@ def _reconstruct(frame, velocity, speed, dominant, buffers, parameters, settings
     }
     sample = functools.partial(_sample, frame.depth.shape, settings)
     *colors, weight, count = sum_samples(
-        sample, settings.samples, reach > SPEED_FLOOR, local, tables
+        sample, settings.samples, reach > SPEED_FLOOR, local, tables, settings.backend
     )
     center_weight = count / (parameters.kappa * floored_speed(speed))
     total = jnp.stack(colors, axis=-1) + center_weight[..., None] * frame.color
@@ -267,7 +268,8 @@ def tile_outcomes(
     Raises:
         ValueError: shapes disagree.
     """
-    prepared = _prepare(frame, parameters, settings, noise)
+    masked = frame.valid is not None
+    prepared = _prepare(append_mask(frame) if masked else frame, parameters, settings, noise)
     frame, parameters, noise, velocity, speed, tiles = prepared
     height, width = frame.depth.shape
     local, tables = _buffers(frame, velocity, speed, noise, parameters, settings)
@@ -281,7 +283,7 @@ def tile_outcomes(
 
     indices, chances = _tile_choices(height, width, parameters, settings, noise)
     colors = blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
-    return colors, chances
+    return (divide_by_mask(colors) if masked else colors), chances
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))

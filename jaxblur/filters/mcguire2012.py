@@ -28,6 +28,7 @@ from ..weights import (
     finite_depth,
     floored_speed,
 )
+from .masking import honoring_mask
 
 
 @jax.tree_util.register_dataclass
@@ -68,6 +69,7 @@ def _sample(size, settings, index, local, tables):
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
+@honoring_mask
 def mcguire2012(
     frame: Frame,
     parameters: McGuireParameters,
@@ -122,7 +124,9 @@ def mcguire2012(
     tables["color"] = color_planes(frame.color)
     moving = safe_norm(dominant[..., 0], dominant[..., 1]) > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
-    *colors, weight = sum_samples(sample, settings.samples - 1, moving, local, tables)
+    *colors, weight = sum_samples(
+        sample, settings.samples - 1, moving, local, tables, settings.backend
+    )
     total = jnp.stack(colors, axis=-1) + frame.color * inverse_speed[..., None]
     blurred = total / (weight + inverse_speed)[..., None]
     return jnp.where(moving[..., None], blurred, frame.color)

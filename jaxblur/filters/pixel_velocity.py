@@ -11,6 +11,7 @@ from ..sampling import color_planes, read_color, read_position, sum_samples, tap
 from ..settings import Settings
 from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR
+from .masking import honoring_mask
 
 
 def _sample(size, settings, index, local, color):
@@ -24,6 +25,7 @@ def _sample(size, settings, index, local, color):
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
+@honoring_mask
 def pixel_velocity(
     frame: Frame,
     parameters: None = None,
@@ -63,7 +65,9 @@ def pixel_velocity(
     }
     moving = speed > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
-    *colors, count = sum_samples(sample, settings.samples, moving, local, color_planes(frame.color))
+    *colors, count = sum_samples(
+        sample, settings.samples, moving, local, color_planes(frame.color), settings.backend
+    )
     mean = jnp.stack(colors, axis=-1) / jnp.maximum(count, 1)[..., None]
     blurred = moving & (count > 0)
     return jnp.where(blurred[..., None], mean, frame.color)

@@ -1,0 +1,85 @@
+"""Leave masked samples out of a filter.
+
+The weights of a filter never see color, and its result is ``sum_i w_i c_i / sum_i w_i``. Filtering
+``m c`` and the mask m alike, and dividing, gives ``sum_i w_i m_i c_i / sum_i w_i m_i``: a masked
+sample contributes neither color nor weight, in any filter, at the price of one more channel.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..frame import Frame, check_frame
+
+SMALLEST_SHARE = 1e-3
+"""Pixels that see less of what is valid count as not reached by it."""
+
+
+def honoring_mask(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a filter leave out what ``frame.valid`` masks.
+
+    Args:
+        function: a filter; it never sees a mask.
+
+    Returns:
+        The same filter for frames with a mask too; without one nothing changes.
+    """
+
+    @functools.wraps(function)
+    def with_mask(frame: Frame, *arguments: Any, **options: Any) -> Any:
+        if frame.valid is None:
+            return function(frame, *arguments, **options)
+        return divide_by_mask(function(append_mask(frame), *arguments, **options))
+
+    return with_mask
+
+
+def append_mask(frame: Frame) -> Frame:
+    """Turn the mask into one more channel of a color that is 0 where it is masked.
+
+    Args:
+        frame: with ``valid`` (H, W), 1 or True where the color is to be used.
+
+    Returns:
+        The frame without ``valid``, color (H, W, C + 1).
+
+    Raises:
+        ValueError: shapes disagree.
+    """
+    frame = check_frame(frame)
+    mask = (jnp.asarray(frame.valid) != 0)[..., None]
+    # Replaced and not multiplied, so that NaN may stand where it is masked.
+    color = jnp.where(mask, frame.color, 0)
+    color = jnp.concatenate([color, mask.astype(color.dtype)], axis=-1)
+    return dataclasses.replace(frame, color=color, valid=None)
+
+
+def divide_by_mask(
+    filtered: Float[Array, "*batch height width channels_and_mask"],
+) -> Float[Array, "*batch height width channels"]:
+    """Divide filtered colors by the filtered mask; what nothing valid reaches is filled.
+
+    Args:
+        filtered: (..., H, W, C + 1), the mask last.
+
+    Returns:
+        (..., H, W, C): ratios; where the mask is below `SMALLEST_SHARE` the mean of the 3 x 3
+        neighbors that are not, and 0 if there are none.
+    """
+    color, share = filtered[..., :-1], filtered[..., -1:]
+    reached = share > SMALLEST_SHARE
+    color = jnp.where(reached, color / jnp.where(reached, share, 1), 0)
+    count = _sum_of_neighbors(reached.astype(color.dtype))
+    mean = _sum_of_neighbors(color) / jnp.maximum(count, 1)
+    return jnp.where(reached, color, mean)
+
+
+def _sum_of_neighbors(image: jax.Array) -> jax.Array:
+    window = (*(1,) * (image.ndim - 3), 3, 3, 1)
+    return lax.reduce_window(image, 0.0, lax.add, window, (1,) * image.ndim, "SAME")
