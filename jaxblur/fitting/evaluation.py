@@ -1,14 +1,15 @@
 """Errors of a filter on image pairs, in the settings of the run and with its own noise."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .. import metrics
-from ..filters import FILTERS
+from ..batch import blur_batch
 from ..settings import Settings
 from .objective import draw_noise
 from .pairs import Pair
@@ -17,7 +18,7 @@ from .result import Score
 
 def images(
     filter_name: str, parameters: Any, pair: Pair, settings: Settings, key: jax.Array, draws: int
-) -> Iterator[jax.Array]:
+) -> Float[Array, "draws height width channels"]:
     """Run the filter on a frame with several draws of noise.
 
     Args:
@@ -28,15 +29,17 @@ def images(
         key: for the noise.
         draws: number of images; one is given where the settings ask for no noise.
 
-    Yields:
-        (H, W, C) linear light.
+    Returns:
+        (draws, H, W, C) linear light.
     """
     size = pair.truth.shape[0], pair.truth.shape[1]
-    noises: list[Any] = [draw_noise(draw, size) for draw in jax.random.split(key, draws)]
+    noise = None
     if settings.noise == "none":
-        noises = [None]
-    for noise in noises:
-        yield FILTERS[filter_name](pair.frame, parameters, settings=settings, noise=noise)
+        draws = 1
+    else:
+        noise = jax.vmap(lambda draw: draw_noise(draw, size))(jax.random.split(key, draws))
+    frames = jax.tree.map(lambda buffer: jnp.stack([buffer] * draws), pair.frame)
+    return blur_batch(filter_name, frames, parameters, settings=settings, noise=noise)
 
 
 def evaluate(
@@ -65,7 +68,7 @@ def evaluate(
     scores = []
     for index, pair in enumerate(pairs):
         pair_key = jax.random.fold_in(key, index)
-        outputs = list(images(filter_name, parameters, pair, settings, pair_key, draws))
+        outputs = images(filter_name, parameters, pair, settings, pair_key, draws)
         moving = metrics.motion_footprint(pair.frame)
         regions = {"whole": np.ones_like(moving), "moving": moving}
         for region, mask in regions.items():
@@ -75,7 +78,7 @@ def evaluate(
 
 
 def _score(
-    outputs: Sequence[jax.Array], pair: Pair, mask: np.ndarray, labels: tuple[str, str, str, str]
+    outputs: jax.Array, pair: Pair, mask: np.ndarray, labels: tuple[str, str, str, str]
 ) -> Score:
     figures = []
     for output in outputs:

@@ -15,7 +15,8 @@ import optax
 
 import jaxblur
 
-from ..filters import FILTERS, PUBLISHED
+from ..batch import filter_name
+from ..filters import PUBLISHED
 from ..frame import Frame
 from ..settings import Settings
 from .constraints import constraints_of, starting_values, to_free, to_values
@@ -108,7 +109,7 @@ def fit(
         ValueError: an argument is wrong or does not fit the others, or frames hold bad values.
         FloatingPointError: the loss became infinite or NaN.
     """
-    name = _filter_name(filter)
+    name = filter_name(filter)
     start, published = _start(name, initial), _fields(PUBLISHED[name][0])
     settings = PUBLISHED[name][1] if settings is None else settings
     free = tuple(DEFAULT_FREE.get(name, constraints_of(name)) if free is None else free)
@@ -165,15 +166,6 @@ def fit(
         data=data,
         versions=_versions(),
         **judged,
-    )
-
-
-def _filter_name(filter: str | Callable[..., Any]) -> str:
-    for name, function in FILTERS.items():
-        if filter == name or filter is function:
-            return name
-    raise ValueError(
-        f"`filter` must be one of {', '.join(FILTERS)}, or one of these functions, got {filter!r}."
     )
 
 

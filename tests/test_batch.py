@@ -1,0 +1,122 @@
+"""A filter over a leading axis of frames."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur.filters import FILTERS, PUBLISHED
+from tests.helpers import random_frame, random_noise
+
+SETTINGS = jaxblur.Settings(samples=5, radius=6)
+SHAPE = (13, 17)
+
+
+def assert_close(actual, desired):
+    """The programs differ in how they fuse; measured difference at most 1.2e-7."""
+    np.testing.assert_allclose(actual, desired, rtol=1e-5, atol=1e-6)
+
+
+def stack(items):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *items)
+
+
+def some_frames(count, **options):
+    return [random_frame(SHAPE, seed=seed, **options) for seed in range(count)]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("chunk", [1, 2, 9])
+def test_it_equals_the_loop_with_any_chunk_and_remainder(name, chunk):
+    frames, parameters = some_frames(3), PUBLISHED[name][0]
+    one_by_one = [FILTERS[name](frame, parameters, settings=SETTINGS) for frame in frames]
+    blurred = jaxblur.blur_batch(name, stack(frames), settings=SETTINGS, chunk=chunk)
+    assert blurred.dtype == jnp.float32
+    assert_close(blurred, jnp.stack(one_by_one))
+    assert np.abs(blurred - stack(frames).color).max() > 0.1, "the frames do blur"
+
+
+def test_it_takes_functions_and_the_published_settings():
+    frames = stack(some_frames(2))
+    by_name = jaxblur.blur_batch("mcguire2012", frames)
+    np.testing.assert_array_equal(by_name, jaxblur.blur_batch(jaxblur.mcguire2012, frames))
+    one = jaxblur.mcguire2012(some_frames(1)[0], jaxblur.McGuireParameters())
+    assert_close(by_name[0], one)
+
+
+@pytest.mark.parametrize("chunk", [1, 2])
+def test_noise_is_shared_or_one_for_each_frame(chunk):
+    frame, noises = random_frame(SHAPE), [random_noise(SHAPE, seed=seed) for seed in range(3)]
+    frames = stack([frame] * 3)
+
+    def blur(noise):
+        return jaxblur.blur_batch(
+            "guertin2014", frames, settings=SETTINGS, noise=noise, chunk=chunk
+        )
+
+    def alone(noise):
+        parameters = jaxblur.GuertinParameters()
+        return jaxblur.guertin2014(frame, parameters, settings=SETTINGS, noise=noise)
+
+    assert_close(blur(stack(noises)), stack(map(alone, noises)))
+    assert_close(blur(noises[0]), stack([alone(noises[0])] * 3))
+
+
+@pytest.mark.parametrize("chunk", [1, 2])
+def test_derivatives_are_those_of_the_loop(chunk):
+    frames, settings = some_frames(3), jaxblur.Settings(samples=2, radius=6)
+    batch = stack(frames)
+
+    def of_batch(parameters):
+        options = {"settings": settings, "chunk": chunk}
+        return jnp.sum(jaxblur.blur_batch("guertin2014", batch, parameters, **options) ** 2)
+
+    def of_frame(parameters, frame):
+        return jnp.sum(jaxblur.guertin2014(frame, parameters, settings=settings) ** 2)
+
+    parameters = jaxblur.GuertinParameters()
+    gradients = [jax.grad(of_frame)(parameters, frame) for frame in frames]
+    loop = jax.tree.map(lambda *each: sum(each), *gradients)
+    expected = np.array(jax.tree.leaves(loop))
+    assert np.count_nonzero(expected) >= 2
+    found = jax.tree.leaves(jax.grad(of_batch)(parameters))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+    along = jax.tree.map(jnp.ones_like, parameters)
+    _, pushed = jax.jvp(of_batch, (parameters,), (along,))
+    np.testing.assert_allclose(pushed, expected.sum(), rtol=1e-4)
+
+
+def test_new_parameters_recompile_nothing():
+    frames, traced = stack(some_frames(2)), []
+
+    def blur(kappa):
+        parameters = jaxblur.GuertinParameters(kappa=kappa)
+        settings = jaxblur.Settings(samples=5, radius=6)
+        return jaxblur.blur_batch("guertin2014", frames, parameters, settings=settings)
+
+    blur(10.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(FILTERS, "guertin2014", traced.append)
+        blur(20.0)
+    assert traced == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"filter": "guertin"}, "`filter` must be one of guertin2014"),
+        ({"chunk": 0}, "`chunk` must be a whole number from 1, got 0"),
+        ({"chunk": 1.5}, "`chunk` must be a whole number"),
+        ({"frames": random_frame(SHAPE)}, r"`frames.color` must have 4 axes.*stack the frames"),
+        (
+            {"noise": jax.tree.map(lambda leaf: leaf[None], random_noise(SHAPE))},
+            "`frames.color` 2.*`noise.tap` 1",
+        ),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_refusals(change, message):
+    arguments = {"filter": "guertin2014", "frames": stack(some_frames(2)), "settings": SETTINGS}
+    with pytest.raises(ValueError, match=message):
+        jaxblur.blur_batch(**arguments | change)
