@@ -1,4 +1,5 @@
 import hashlib
+from typing import Any
 
 import pytest
 
@@ -28,7 +29,8 @@ def test_ties_do_not_stay_on_the_front():
 
 
 def drawn(**options):
-    axes = show.pareto(POINTS, **options).axes[0]
+    # Typed as anything: matplotlib declares its artists' arrays as every sequence there is.
+    axes: Any = show.pareto(POINTS, **options).axes[0]
     return axes, [text.get_text() for text in axes.texts]
 
 

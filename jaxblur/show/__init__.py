@@ -6,4 +6,24 @@ it draws there and returns the figure of the axes. Needs the extra ``jaxblur[plo
 loads when something is drawn.
 """
 
+from .buffers import (
+    depth_map as depth_map,
+    frame_sheet as frame_sheet,
+    velocity_arrows as velocity_arrows,
+    velocity_wheel as velocity_wheel,
+)
+from .colors import velocity_colors as velocity_colors
+from .comparison import (
+    before_after as before_after,
+    error_map as error_map,
+    image_grid as image_grid,
+)
+from .curves import bars as bars, curves as curves
+from .figures import new_figure as new_figure
 from .pareto import Measurement as Measurement, pareto as pareto, pareto_front as pareto_front
+from .tiles import (
+    tap_diagram as tap_diagram,
+    texel_weights as texel_weights,
+    tile_overlay as tile_overlay,
+    tile_velocities as tile_velocities,
+)

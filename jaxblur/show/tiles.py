@@ -1,0 +1,257 @@
+"""Tiles and taps: how a filter sees a frame."""
+
+import dataclasses
+import functools
+from typing import TYPE_CHECKING, Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..filters import FILTERS, PUBLISHED, GuertinParameters
+from ..filters.taps import taps_at
+from ..frame import Frame
+from ..noise import Noise
+from ..settings import Settings
+from ..tiles import clamp_speed, dominant_velocity, tile_max
+from .buffers import display, draw_streaks, fastest
+from .colors import velocity_colors
+from .figures import figure_and_axes, show_pixels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TINT = 0.45
+"""How much of a tile's color covers the picture."""
+MARGIN = 6
+"""Pixels around the taps of a pixel."""
+LARGEST_DOT = 250.0
+"""Area of the dot of the largest weight, in square points."""
+
+DOMINANT_COLOR, CENTER_COLOR, OWN_COLOR = "tab:blue", "tab:orange", "tab:red"
+
+
+def tile_velocities(
+    frame: Frame, settings: Settings, stage: Literal["tile", "neighbor"] = "neighbor"
+) -> Float[np.ndarray, "rows columns 2"]:
+    """The velocity of each tile, by the functions that the filters run.
+
+    Args:
+        frame: one frame.
+        settings: radius, and which diagonal tiles count.
+        stage: ``tile`` for the fastest vector of the tile itself, ``neighbor`` for the dominant
+            one of its 3 x 3 ring.
+
+    Returns:
+        (ceil(H / r), ceil(W / r), 2) half-spread in pixels, clamped to the radius.
+
+    Raises:
+        ValueError: the stage is unknown.
+    """
+    if stage not in ("tile", "neighbor"):
+        raise ValueError(f"`stage` must be 'tile' or 'neighbor', got {stage!r}.")
+    velocity, speed = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
+    if stage == "tile":
+        return np.asarray(tile_max(velocity, settings.radius))
+    return np.asarray(dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles))
+
+
+def tile_overlay(
+    frame: Frame,
+    settings: Settings = Settings(),
+    *,
+    stage: Literal["tile", "neighbor"] = "neighbor",
+    axes: "Axes | None" = None,
+) -> "Figure":
+    """Draw the grid of tiles over the color, each tinted by its velocity, with its arrow.
+
+    Args:
+        frame: one frame.
+        settings: radius, and which diagonal tiles count.
+        stage: see `tile_velocities`.
+        axes: where to draw.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the stage is unknown.
+    """
+    tiles = tile_velocities(frame, settings, stage)
+    figure, axes = figure_and_axes(axes)
+    height, width = frame.depth.shape
+    radius = settings.radius
+    colors = velocity_colors(tiles, fastest(tiles)).repeat(radius, 0).repeat(radius, 1)
+    gray = display(frame.color).mean(axis=-1, keepdims=True)
+    name = {"tile": "TileMax", "neighbor": "NeighborMax"}[stage]
+    tinted = (1 - TINT) * gray + TINT * colors[:height, :width]
+    show_pixels(axes, tinted, f"{name}, tiles of {radius} px")
+    for border in range(0, width + 1, radius):
+        axes.axvline(border - 0.5, color="white", linewidth=0.6)
+    for border in range(0, height + 1, radius):
+        axes.axhline(border - 0.5, color="white", linewidth=0.6)
+    rows, columns = np.mgrid[: tiles.shape[0], : tiles.shape[1]]
+    # A ragged tile at the border is as small as what is left of the picture.
+    x, y = (
+        (start * radius + np.minimum((start + 1) * radius, size)) / 2 - 0.5
+        for start, size in ((columns, width), (rows, height))
+    )
+    moving = np.linalg.norm(tiles, axis=-1) > 0
+    draw_streaks(axes, x[moving], y[moving], tiles[moving], color="black", width=0.004)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+    return figure
+
+
+def texel_weights(
+    name: str,
+    frame: Frame,
+    row: int,
+    column: int,
+    *,
+    parameters: Any = None,
+    settings: Settings | None = None,
+    noise: Noise | None = None,
+) -> Float[np.ndarray, "height width"]:
+    """How much each texel of the frame contributes to one pixel of the result.
+
+    A filter's output is linear in color, with weights that never see it: they are the derivative
+    of the pixel with respect to the color, and no filter needs to tell them.
+
+    Args:
+        name: a key of `jaxblur.FILTERS`.
+        frame: one frame; its color is not read.
+        row: of the pixel.
+        column: of the pixel.
+        parameters: of the filter; the published ones if None.
+        settings: of the filter; the published ones if None.
+        noise: of the filter.
+
+    Returns:
+        (H, W) weights that sum to 1; they are at least 0 for nearest fetch.
+
+    Raises:
+        ValueError: the filter is unknown, or the pixel lies outside the frame.
+    """
+    if name not in FILTERS:
+        raise ValueError(f"`name` must be one of {', '.join(FILTERS)}, got {name!r}.")
+    height, width = frame.depth.shape
+    if not (0 <= row < height and 0 <= column < width):
+        raise ValueError(
+            f"`row`, `column` must lie in a frame of {height} rows and {width} columns, got "
+            f"{row}, {column}."
+        )
+    published, usual = PUBLISHED[name]
+    parameters = published if parameters is None else parameters
+    settings = usual if settings is None else settings
+
+    return np.asarray(_texel_weights(name, frame, row, column, parameters, settings, noise))
+
+
+@functools.partial(jax.jit, static_argnames=("name", "settings"))
+def _texel_weights(
+    name: str,
+    frame: Frame,
+    row: jax.Array,
+    column: jax.Array,
+    parameters: Any,
+    settings: Settings,
+    noise: Noise | None,
+) -> jax.Array:
+    """Compiled once for all pixels of frames of one size."""
+
+    def pixel(plane: jax.Array) -> jax.Array:
+        single = dataclasses.replace(frame, color=plane[..., None])
+        return FILTERS[name](single, parameters, settings=settings, noise=noise)[row, column, 0]
+
+    return jax.grad(pixel)(jnp.ones(frame.depth.shape))
+
+
+def tap_diagram(
+    frame: Frame,
+    row: int,
+    column: int,
+    *,
+    name: str = "guertin2014",
+    parameters: Any = None,
+    settings: Settings | None = None,
+    noise: Noise | None = None,
+    axes: "Axes | None" = None,
+) -> "Figure":
+    """Draw which texels make one pixel of the result, and how much each weighs.
+
+    A dot's area is its texel's weight, by `texel_weights`; the ring is the pixel itself. For
+    guertin2014 crosses mark the taps along the dominant direction and along the center direction,
+    and the lines reach as far as they do; taps without a dot have no weight. With the expected
+    tile choice every tile that may be read is drawn, the less likely the paler.
+
+    Args:
+        frame: one frame.
+        row: of the pixel.
+        column: of the pixel.
+        name: a key of `jaxblur.FILTERS`.
+        parameters: of the filter; the published ones if None.
+        settings: of the filter; the published ones if None.
+        noise: of the filter.
+        axes: where to draw.
+
+    Returns:
+        The figure.
+
+    Raises:
+        ValueError: the filter is unknown, or the pixel lies outside the frame.
+    """
+    options = {"parameters": parameters, "settings": settings, "noise": noise}
+    weights = texel_weights(name, frame, row, column, **options)
+    figure, axes = figure_and_axes(axes, 5.5, 4.5)
+    gray = display(frame.color).mean(axis=-1)
+    own = weights[row, column]
+    title = f"{name} at row {row}, column {column}: {100 * own:.0f} % its own color"
+    show_pixels(axes, gray, title).set(cmap="gray", clim=(-0.8, 1.2))
+    if name == "guertin2014":
+        _draw_taps(axes, frame, row, column, options)
+    rows, columns = np.nonzero(weights)
+    area = LARGEST_DOT * weights[rows, columns] / weights.max()
+    axes.scatter(columns, rows, s=np.abs(area), color="gold", edgecolors="black", linewidths=0.5)
+    axes.scatter([column], [row], s=90, facecolors="none", edgecolors="white", linewidths=1.5)
+    _show_around(axes, frame, np.append(columns, column), np.append(rows, row))
+    return figure
+
+
+def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str, Any]) -> None:
+    """The two lines of guertin2014 with their taps, and the pixel's own velocity."""
+    parameters, settings = (
+        GuertinParameters() if options["parameters"] is None else options["parameters"],
+        Settings() if options["settings"] is None else options["settings"],
+    )
+    taps: Any = taps_at(frame, parameters, row, column, settings=settings, noise=options["noise"])
+    taps = jax.tree.map(np.asarray, taps)
+    middle = np.array([column, row])
+    for choice in np.flatnonzero(taps.chance > 0):
+        reach = np.linalg.norm(taps.dominant[choice])
+        alpha = 0.25 + 0.75 * float(taps.chance[choice])
+        for label, unit, mine, color in (
+            ("dominant direction", taps.along[choice], ~taps.second, DOMINANT_COLOR),
+            ("center direction", taps.center[choice], taps.second, CENTER_COLOR),
+        ):
+            ends = middle + reach * np.array([-unit, unit])
+            named = label if choice == np.argmax(taps.chance) else None
+            axes.plot(*ends.T, color=color, alpha=alpha, linewidth=1.2, label=named)
+            axes.plot(*(middle + taps.offset[choice, mine]).T, "x", color=color, alpha=alpha)
+    velocity = np.asarray(frame.velocity)[row, column]
+    draw_streaks(axes, [column], [row], velocity[None], color=OWN_COLOR, label="own velocity")
+    axes.legend(fontsize="x-small", loc="upper right")
+
+
+def _show_around(axes: Any, frame: Frame, columns: Any, rows: Any) -> None:
+    """Zoom to the texels that count, and to the lines that were drawn, inside the frame."""
+    height, width = frame.depth.shape
+    for line in axes.lines:
+        columns, rows = np.append(columns, line.get_xdata()), np.append(rows, line.get_ydata())
+    left, right = columns.min() - MARGIN, columns.max() + MARGIN
+    top, bottom = rows.min() - MARGIN, rows.max() + MARGIN
+    axes.set(
+        xlim=(max(left, -0.5), min(right, width - 0.5)),
+        ylim=(min(bottom, height - 0.5), max(top, -0.5)),
+    )
