@@ -1,10 +1,11 @@
 """Taps along a line: their positions, how they are read, and the sum over them.
 
 The sum over samples is one kernel. A sample is an elementwise function written for a trailing
-sample axis; all of its terms are summed by one variadic reduction over that minor axis, which
-XLA fuses with the reads, so that nothing of shape (H, W, N) exists in memory. Derivatives with
-respect to a pixel's own values come out of the same kernel; those with respect to what is read
-elsewhere are those of a scan over the samples with rematerialisation.
+sample axis; on a CPU with a C compiler it becomes a native kernel (`jaxblur.native`), elsewhere
+all of its terms are summed by one variadic reduction over that minor axis, which XLA fuses with
+the reads. Either way nothing of shape (H, W, N) exists in memory. Derivatives with respect to a
+pixel's own values come out of the same kernel; those with respect to what is read elsewhere are
+those of a scan over the samples with rematerialisation.
 """
 
 import functools
@@ -17,7 +18,8 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-from .settings import Border, Fetch
+from .native import native_sum
+from .settings import Backend, Border, Fetch
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[jax.Array, Any, Any], Terms]
@@ -150,36 +152,56 @@ def color_planes(color: Float[Array, "height width channels"]) -> tuple[jax.Arra
     return tuple(color[..., channel].reshape(-1) for channel in range(color.shape[-1]))
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def sum_samples(sample: Sample, count: int, moving: Any, local: Any, tables: Any) -> Terms:
+def sum_samples(
+    sample: Sample, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
+) -> Terms:
     """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
 
     Args:
         sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays;
             elementwise but for reads of the tables. Part of the compilation key.
         count: number of samples N.
-        moving: (H, W) bool, the pixels whose sums are wanted; if there is none, nothing is
-            computed.
+        moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and mean
+            nothing.
         local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
-        tables: pytree of arrays that samples read at other pixels.
+        tables: pytree of flat arrays that samples read at other pixels.
+        backend: see `jaxblur.Settings`.
 
     Returns:
-        A tuple of (H, W) sums, 0 if no pixel moves. Differentiable in both pytrees, forward and
-        reverse, to any order. Derivatives with respect to ``local`` alone come out of one kernel
-        and need no scatter.
+        A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
+        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
+    local, tables = jax.tree.map(jnp.asarray, (local, tables))
+    return _sum_samples(sample, count, backend, moving, local, tables)
 
-    def sums(local: Any, tables: Any) -> Terms:
-        terms = sample(jnp.arange(count), local, tables)
-        zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
-        return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
-    def nothing(local: Any, tables: Any) -> Terms:
-        return _zero_sums(sample, local, tables)
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
+def _sum_samples(
+    sample: Sample, count: int, backend: Backend, moving: Any, local: Any, tables: Any
+) -> Terms:
+    """The sums, without and with derivatives."""
 
-    # The conditional also keeps XLA from fusing what is computed once per pixel into the kernel,
-    # where it would be computed again at every tap that reads it.
-    return lax.cond(jnp.any(moving), sums, nothing, local, tables)
+    def by_xla(moving: Any, local: Any, tables: Any) -> Terms:
+        # The conditional also keeps XLA from fusing what is computed once per pixel into the
+        # kernel, where it would be computed again at every tap that reads it.
+        nothing = functools.partial(_zero_sums, sample)
+        sums = functools.partial(_sum_at_once, sample, count)
+        return lax.cond(jnp.any(moving), sums, nothing, local, tables)
+
+    native = native_sum(sample, count, moving.shape, local, tables, backend)
+    if native is None:
+        return by_xla(moving, local, tables)
+    return lax.platform_dependent(moving, local, tables, cpu=native, default=by_xla)
+
+
+def _sum_at_once(sample: Sample, count: int, local: Any, tables: Any) -> Terms:
+    """All terms of all samples in one reduction."""
+    terms = sample(jnp.arange(count), local, tables)
+    zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
+    return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
 
 def _add(totals: Terms, more: Terms) -> Terms:
@@ -238,7 +260,7 @@ def _with_derivatives(
     return sum((derivatives(position) for position in active), start=terms)
 
 
-def _sum_samples_jvp(sample, count, primals, tangents):
+def _sum_samples_jvp(sample, count, backend, primals, tangents):
     """Derivatives of the sums; only what has a tangent is differentiated.
 
     A pixel's sums depend on its own local values only, so their derivatives are images: they are
@@ -257,9 +279,9 @@ def _sum_samples_jvp(sample, count, primals, tangents):
 
         values = [leaves[k] for k in positions]
         change = jax.jvp(by_scan, (values,), ([directions[k] for k in positions],))[1]
-        return sum_samples(sample, count, moving, local, tables), change
+        return _sum_samples(sample, count, backend, moving, local, tables), change
     augmented = functools.partial(_with_derivatives, sample, active)
-    sums = sum_samples(augmented, count, moving, local, tables)
+    sums = _sum_samples(augmented, count, backend, moving, local, tables)
     size = len(sums) // (1 + len(active))
     change = [jnp.zeros_like(total) for total in sums[:size]]
     for block, position in enumerate(active, start=1):
@@ -270,4 +292,4 @@ def _sum_samples_jvp(sample, count, primals, tangents):
     return tuple(sums[:size]), tuple(change)
 
 
-sum_samples.defjvp(_sum_samples_jvp, symbolic_zeros=True)
+_sum_samples.defjvp(_sum_samples_jvp, symbolic_zeros=True)

@@ -12,6 +12,7 @@ NoiseKind = Literal["ign", "halton", "none"]
 Directions = Literal["two", "one"]
 DirectionWeights = Literal["on", "off"]
 DiagonalTiles = Literal["reaching", "all"]
+Backend = Literal["auto", "native", "xla"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,6 +40,9 @@ class Settings:
             tap in the weights of Guertin 2014.
         diagonal_tiles: which diagonal tiles Guertin 2014 counts in the dominant velocity:
             those whose velocity is ``reaching`` the tile (section 3.4.4), or ``all``.
+        backend: what sums the samples: on a CPU ``native`` code, compiled on first use and kept
+            in the user's cache folder, needs a C compiler and float32; ``xla`` runs everywhere;
+            ``auto`` takes native code where it can. Results agree but for rounding.
 
     Raises:
         ValueError: a setting is out of range or unknown.
@@ -54,6 +58,7 @@ class Settings:
     directions: Directions = "two"
     direction_weights: DirectionWeights = "on"
     diagonal_tiles: DiagonalTiles = "reaching"
+    backend: Backend = "auto"
 
     def __post_init__(self):
         for name in ("samples", "radius"):
@@ -78,4 +83,5 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "directions": typing.get_args(Directions),
     "direction_weights": typing.get_args(DirectionWeights),
     "diagonal_tiles": typing.get_args(DiagonalTiles),
+    "backend": typing.get_args(Backend),
 }

@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
-LOWEST = {"frame", "safe_math", "noise", "nonfinite", "settings", "srgb"}
+LOWEST = {"folders", "frame", "native", "noise", "nonfinite", "safe_math", "settings", "srgb"}
 OPERATORS = {"tiles", "weights", "sampling"}
 CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.

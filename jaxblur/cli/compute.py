@@ -2,7 +2,8 @@
 
 import logging
 import os
-import pathlib
+
+from jaxblur.folders import cache_folder
 
 LOG = logging.getLogger("jaxblur")
 
@@ -31,13 +32,3 @@ def start_jax(compile_cache: bool) -> None:
         return
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-
-
-def cache_folder() -> pathlib.Path:
-    """Name the folder for compiled code: ``$XDG_CACHE_HOME/jaxblur`` or ``~/.cache/jaxblur``.
-
-    Raises:
-        RuntimeError: there is no home folder.
-    """
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (pathlib.Path(base) if base else pathlib.Path.home() / ".cache") / "jaxblur"

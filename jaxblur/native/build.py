@@ -1,0 +1,114 @@
+"""Compile kernels, keep them between runs, and make them known to XLA."""
+
+import ctypes
+import functools
+import hashlib
+import logging
+import os
+import pathlib
+import platform
+import shutil
+import subprocess
+import tempfile
+
+import jax
+
+from ..folders import cache_folder
+
+LOG = logging.getLogger("jaxblur")
+FLAGS = (
+    *("-O3", "-std=c++17", "-shared", "-fPIC", "-fwrapv", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fno-exceptions", "-fno-rtti", "-Wno-psabi"),
+)
+# Tried in this order: compilers disagree about the name of "for this machine".
+MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
+
+
+class BuildFailed(Exception):
+    """The compiler refused a kernel."""
+
+
+@functools.cache
+def find_compiler() -> str | None:
+    """Path of a C++ compiler, None where there is none or where kernels cannot be loaded."""
+    if platform.system() not in ("Linux", "Darwin"):
+        return None
+    return next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
+
+
+@functools.cache
+def _machine() -> str:
+    """What a kernel's instructions depend on, so that computers with one home do not share it."""
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
+    except OSError:
+        kinds = {platform.processor()}
+    return "\n".join([platform.machine(), jax.__version__, find_compiler() or "", *sorted(kinds)])
+
+
+def _folder() -> pathlib.Path:
+    """Where kernels are kept, readable by this user only; a passing one if that cannot be used."""
+    try:
+        folder = cache_folder() / "kernels"
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+            return folder
+    except (OSError, RuntimeError):
+        pass
+    return _passing_folder()
+
+
+@functools.cache
+def _passing_folder() -> pathlib.Path:
+    """A folder for the time of this process."""
+    return pathlib.Path(tempfile.mkdtemp(prefix="jaxblur_kernels_"))
+
+
+def _compile(source: str, library: pathlib.Path) -> None:
+    """Compile beside the target, then rename: another process never sees half a library.
+
+    Raises:
+        BuildFailed: with the compiler's words.
+    """
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        program = pathlib.Path(folder, "kernel.cc")
+        program.write_text(source, encoding="utf-8")
+        built = program.with_suffix(".so")
+        words = ""
+        for machine in MACHINE_FLAGS:
+            command = [find_compiler() or "c++", *FLAGS, *machine, f"-I{jax.ffi.include_dir()}"]
+            command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                os.replace(built, library)
+                return
+            words = done.stderr
+    raise BuildFailed(f"the C++ compiler refused a kernel:\n{words}")
+
+
+@functools.cache
+def register(source: str) -> str:
+    """Compile a kernel unless a former run has, load it, and register it with XLA.
+
+    Args:
+        source: the program, ``@NAME@`` in place of the function's name.
+
+    Returns:
+        Name of the target for `jax.ffi.ffi_call`.
+
+    Raises:
+        BuildFailed: the compiler refused it, or what it made cannot be loaded.
+    """
+    key = hashlib.sha256("\n".join([_machine(), *FLAGS, source]).encode()).hexdigest()[:24]
+    name = f"jaxblur_sum_{key}"
+    library = _folder() / f"{name}.so"
+    try:
+        if not library.exists():
+            LOG.info("compiling a kernel: %s", library)
+            _compile(source.replace("@NAME@", name), library)
+        function = getattr(ctypes.CDLL(os.fspath(library)), name)
+    except (OSError, AttributeError) as error:
+        raise BuildFailed(f"{library}: {error}") from error
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
+    return name

@@ -1,0 +1,206 @@
+/* Sums over the samples of every pixel. The places marked @NAME@ are filled in by emit.py. */
+#include <pthread.h>
+#include <sched.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+
+#include "xla/ffi/api/c_api.h"
+
+enum {
+  HEIGHT = @HEIGHT@,
+  WIDTH = @WIDTH@,
+  COUNT = @COUNT@,
+  OUTPUTS = @OUTPUTS@,
+#ifdef __AVX512F__
+  LANES = 16, /* pixels of a row that go through the samples together */
+#else
+  LANES = 8,
+#endif
+  ROWS_AT_ONCE = 4, /* rows that a thread takes at a time */
+  MOST_THREADS = 64
+};
+
+/* One value a lane; a comparison gives -1 where it holds and 0 elsewhere. */
+typedef float Floats __attribute__((vector_size(4 * LANES)));
+typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+
+static inline Floats wide(float a) { return a - Floats{}; }
+static inline Ints wide(int32_t a) { return a - Ints{}; }
+static inline Ints wide(bool a) { return -int32_t(a) - Ints{}; }
+
+static inline Floats to_floats(Ints a) { return __builtin_convertvector(a, Floats); }
+static inline Ints to_ints(Floats a) { return __builtin_convertvector(a, Ints); }
+
+/* Maximum and minimum that keep NaN. */
+static inline Floats max_float(Floats a, Floats b) { return a != a ? a : (a > b ? a : b); }
+static inline Floats min_float(Floats a, Floats b) { return a != a ? a : (a < b ? a : b); }
+static inline float max_float(float a, float b) { return a != a ? a : (a > b ? a : b); }
+static inline float min_float(float a, float b) { return a != a ? a : (a < b ? a : b); }
+static inline Ints max_int(Ints a, Ints b) { return a > b ? a : b; }
+static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
+static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
+static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
+
+static inline float sign_float(float a) { return a > 0 ? 1.0f : (a < 0 ? -1.0f : a); }
+static inline Floats sign_float(Floats a) {
+  return a > 0 ? wide(1.0f) : (a < 0 ? wide(-1.0f) : a);
+}
+static inline Floats fabsf(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
+
+#define LANE_BY_LANE(name)                                      \
+  static inline Floats name(Floats a) {                         \
+    Floats result;                                              \
+    for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k]);   \
+    return result;                                              \
+  }
+LANE_BY_LANE(ceilf)
+LANE_BY_LANE(cosf)
+LANE_BY_LANE(expf)
+LANE_BY_LANE(log1pf)
+LANE_BY_LANE(logf)
+LANE_BY_LANE(sinf)
+LANE_BY_LANE(sqrtf)
+LANE_BY_LANE(tanhf)
+
+#define LANE_BY_LANE_OF_TWO(name)                                   \
+  static inline Floats name(Floats a, Floats b) {                   \
+    Floats result;                                                  \
+    for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k], b[k]); \
+    return result;                                                  \
+  }
+LANE_BY_LANE_OF_TWO(fmodf)
+LANE_BY_LANE_OF_TWO(powf)
+
+#if defined(__AVX512F__)
+static inline Floats floorf(Floats a) {
+  return (Floats)_mm512_roundscale_ps((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+}
+static inline Floats read(const float* table, Ints index) {
+  return (Floats)_mm512_i32gather_ps((__m512i)index, table, 4);
+}
+#elif defined(__AVX2__)
+static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a); }
+static inline Floats read(const float* table, Ints index) {
+  return (Floats)_mm256_i32gather_ps(table, (__m256i)index, 4);
+}
+#else
+LANE_BY_LANE(floorf)
+static inline Floats read(const float* table, Ints index) {
+  Floats result;
+  for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
+  return result;
+}
+#endif
+
+/* Lanes beyond the end of a row hold the row's last value; they are never written back. */
+template <typename Wide, typename Element>
+static inline Wide load(const Element* row, int lanes) {
+  Wide result;
+  for (int k = 0; k < LANES; ++k) result[k] = row[k < lanes ? k : lanes - 1];
+  return result;
+}
+static inline Floats load_floats(const float* row, int lanes) {
+  if (lanes < LANES) return load<Floats>(row, lanes);
+  Floats result;
+  memcpy(&result, row, sizeof result);
+  return result;
+}
+static inline void store(float* row, Floats values, int lanes) {
+  if (lanes == LANES) {
+    memcpy(row, &values, sizeof values);
+  } else {
+    for (int k = 0; k < lanes; ++k) row[k] = values[k];
+  }
+}
+
+@CONSTANTS@
+struct Job {
+  const uint8_t* moving;
+  void* const* arguments;
+  float* outputs[OUTPUTS];
+  std::atomic<int> next_row;
+};
+
+static void sum_row(const Job* job, const int row) {
+  const int64_t start = (int64_t)row * WIDTH;
+  const Ints y = wide((int32_t)row);
+  Ints lane_numbers;
+  for (int k = 0; k < LANES; ++k) lane_numbers[k] = k;
+@ARGUMENTS@
+  for (int first = 0; first < WIDTH; first += LANES) {
+    const int lanes = WIDTH - first < LANES ? WIDTH - first : LANES;
+    const int64_t pixel = start + first;
+    const Ints x = first + lane_numbers;
+    (void)x, (void)y;
+    Floats sums[OUTPUTS] = {};
+    int any = 0;
+    for (int lane = 0; lane < lanes; ++lane) any |= job->moving[pixel + lane];
+    if (any) {
+@PIXEL@
+      for (int32_t i = 0; i < COUNT; ++i) {
+@SAMPLE@
+@TAP@
+      }
+    }
+    for (int k = 0; k < OUTPUTS; ++k) store(job->outputs[k] + pixel, sums[k], lanes);
+  }
+}
+
+static void* work(void* argument) {
+  Job* job = static_cast<Job*>(argument);
+  for (;;) {
+    const int start = job->next_row.fetch_add(ROWS_AT_ONCE);
+    if (start >= HEIGHT) return 0;
+    const int end = start + ROWS_AT_ONCE < HEIGHT ? start + ROWS_AT_ONCE : HEIGHT;
+    for (int y = start; y < end; ++y) sum_row(job, y);
+  }
+}
+
+static int count_threads(void) {
+#ifdef __linux__
+  cpu_set_t cores;
+  const int count = sched_getaffinity(0, sizeof cores, &cores) == 0 ? CPU_COUNT(&cores) : 1;
+#else
+  const int count = (int)sysconf(_SC_NPROCESSORS_ONLN);
+#endif
+  const int useful = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
+  const int least = count < useful ? count : useful;
+  return least < MOST_THREADS ? least : MOST_THREADS;
+}
+
+static void run(Job* job) {
+  pthread_t threads[MOST_THREADS];
+  const int wanted = count_threads() - 1;
+  int started = 0;
+  while (started < wanted && pthread_create(&threads[started], 0, work, job) == 0) ++started;
+  work(job);
+  for (int k = 0; k < started; ++k) pthread_join(threads[k], 0);
+}
+
+extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
+  XLA_FFI_Extension_Base* extension = frame->extension_start;
+  if (extension && extension->type == XLA_FFI_Extension_Metadata) {
+    XLA_FFI_Metadata* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
+    metadata->api_version.major_version = XLA_FFI_API_MAJOR;
+    metadata->api_version.minor_version = XLA_FFI_API_MINOR;
+    return 0;
+  }
+  void* arguments[@ARGUMENT_COUNT@];
+  for (int k = 0; k < @ARGUMENT_COUNT@; ++k)
+    arguments[k] = ((XLA_FFI_Buffer*)frame->args.args[k])->data;
+  Job job;
+  job.moving = (const uint8_t*)arguments[0];
+  job.arguments = arguments;
+  job.next_row = 0;
+  for (int k = 0; k < OUTPUTS; ++k)
+    job.outputs[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
+  run(&job);
+  return 0;
+}
