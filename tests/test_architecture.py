@@ -15,7 +15,7 @@ CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 FILES = {"vectors", "exr", "pictures", "sequence"}
-MIDDLE = {"batch", "fitting", "planning", "report"}
+MIDDLE = {"batch", "bench", "fitting", "planning", "report"}
 TOP = {"cli", "demo", "__main__"}
 
 MAY_IMPORT = {
@@ -28,6 +28,7 @@ MAY_IMPORT = {
     "sequence": LOWEST | {"exr", "vectors"},
     "show": CORE | {"metrics", "srgb"},
     "report": LOWEST | {"exr", "metrics", "show"},
+    "bench": CORE | JUDGES | {"exr", "vectors", "show"},
     "fitting": CORE | JUDGES | FILES | {"show", "batch"},
     "planning": LOWEST | {"tiles", "filters", "vectors"},
     **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | MIDDLE),

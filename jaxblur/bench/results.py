@@ -1,0 +1,225 @@
+"""Rows of results and the CSV file that holds them: resumable, whole at every moment."""
+
+import csv
+import dataclasses
+import functools
+import hashlib
+import io
+import pathlib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from ..exr.atomic import replacing
+from ..settings import Settings
+from .cases import AUTO, RENDERERS, Case
+from .subjects import Subject
+
+_PACKAGE = pathlib.Path(__file__).parents[1]
+_MEASURED_CODE = (
+    "frame.py",
+    "safe_math.py",
+    "noise.py",
+    "srgb.py",
+    "settings.py",
+    "tiles.py",
+    "weights.py",
+    "sampling.py",
+    "metrics.py",
+    "filters/*.py",
+    "native/*",
+    "scenes/*.py",
+)
+SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
+_NUMBERS = ("samples", "radius")
+SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
+IDENTITY_COLUMNS = (*SUBJECT_COLUMNS, "method", *SETTINGS)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figures:
+    """What was measured; None where it does not apply.
+
+    Attributes:
+        radius_px: radius that ``auto`` came to, in pixels.
+        ms: median warm time.
+        ms_iqr: interquartile range of the warm times.
+        cpu_ms: median processor time over all threads.
+        cpu_ms_iqr: interquartile range of the processor times.
+        rounds: number of times that count.
+        calibration_ms: median time of `calibration` in the same rounds.
+        calibration_ms_iqr: its interquartile range.
+        compile_s: tracing and compiling, seconds; for renderers what the first run took more.
+        temporary_mb: peak of the temporary buffers by the compiler's account, 10^6 bytes.
+        resident_mb: most memory that the whole process held while the method ran, 10^6 bytes.
+        psnr: dB, whole frame, display values.
+        ssim: whole frame.
+        flip: whole frame.
+        moving_psnr: over the pixels that motion reaches.
+        moving_ssim: over the same.
+        moving_flip: over the same.
+        load: of the machine, mean number of running processes in the last minute.
+    """
+
+    radius_px: float | None = None
+    ms: float | None = None
+    ms_iqr: float | None = None
+    cpu_ms: float | None = None
+    cpu_ms_iqr: float | None = None
+    rounds: float | None = None
+    calibration_ms: float | None = None
+    calibration_ms_iqr: float | None = None
+    compile_s: float | None = None
+    temporary_mb: float | None = None
+    resident_mb: float | None = None
+    psnr: float | None = None
+    ssim: float | None = None
+    flip: float | None = None
+    moving_psnr: float | None = None
+    moving_ssim: float | None = None
+    moving_flip: float | None = None
+    load: float | None = None
+
+
+FIGURE_COLUMNS = tuple(field.name for field in dataclasses.fields(Figures))
+COLUMNS = (*IDENTITY_COLUMNS, "code", "machine", *FIGURE_COLUMNS)
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One line of the file.
+
+    Attributes:
+        identity: texts by `IDENTITY_COLUMNS`: what was measured.
+        code: digest of the code that was measured, see `code_digest`.
+        machine: version of jax, kind of device and number of processors.
+        figures: the results.
+    """
+
+    identity: tuple[str, ...]
+    code: str
+    machine: str
+    figures: Figures
+
+    def __getitem__(self, column: str) -> str:
+        """A text of the identity by its column."""
+        return self.identity[IDENTITY_COLUMNS.index(column)]
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What makes a measurement the same as an earlier one, so that it need not be redone."""
+        return (*self.identity, self.code, self.machine)
+
+    @property
+    def case(self) -> Case:
+        """The case that was measured.
+
+        Raises:
+            ValueError: there is no such method or setting any more.
+        """
+        texts = {name: text for name in SETTINGS if (text := self[name])}
+        automatic = texts.get("radius") == AUTO
+        if automatic:
+            del texts["radius"]
+        values: dict[str, Any] = {n: int(v) if n in _NUMBERS else v for n, v in texts.items()}
+        return Case(self["method"], Settings(**values), automatic)
+
+
+def identity(subject: Subject, case: Case) -> tuple[str, ...]:
+    """Texts by `IDENTITY_COLUMNS`; settings that do not matter to the method are empty."""
+    height, width = subject.size
+    texts = {
+        "scene": subject.name,
+        "width": str(width),
+        "height": str(height),
+        "shutter": f"{subject.shutter:g}",
+        "source": subject.source,
+        "method": case.method,
+    }
+    matter = SETTINGS
+    if not case.is_filter:
+        matter = ("samples",) if case.method in RENDERERS else ()
+    texts |= {name: str(getattr(case.settings, name)) for name in matter}
+    if case.is_filter and case.auto_radius:
+        texts["radius"] = AUTO
+    return tuple(texts.get(column, "") for column in IDENTITY_COLUMNS)
+
+
+@functools.cache
+def code_digest() -> str:
+    """Eight hexadecimal digits that change with the code of filters, scenes and metrics."""
+    digest = hashlib.sha256()
+    for pattern in _MEASURED_CODE:
+        for path in sorted(_PACKAGE.glob(pattern)):
+            if path.is_file():
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def read_rows(path: pathlib.Path) -> list[Row]:
+    """Read a file of results; columns that it lacks are empty, further ones are left out.
+
+    Args:
+        path: of the CSV file.
+
+    Returns:
+        The rows in their order.
+
+    Raises:
+        ValueError: it is no such file, or a figure is not a number.
+        OSError: it cannot be read.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        missing = {"scene", "method", "ms"} - set(reader.fieldnames or ())
+        if missing:
+            raise ValueError(
+                f"{path}: has no column {', '.join(sorted(missing))}; give a file that "
+                "`jaxblur bench` wrote."
+            )
+        return [_parse(path, reader.line_num, record) for record in reader]
+
+
+def _parse(path: pathlib.Path, line: int, record: dict[str, Any]) -> Row:
+    try:
+        figures = {n: float(text) for n in FIGURE_COLUMNS if (text := record.get(n))}
+    except ValueError as error:
+        raise ValueError(f"{path}: line {line}: {error}; remove the line.") from error
+    texts = tuple(record.get(column) or "" for column in IDENTITY_COLUMNS)
+    code, machine = record.get("code") or "", record.get("machine") or ""
+    return Row(texts, code, machine, Figures(**figures))
+
+
+def write_rows(path: pathlib.Path, rows: Iterable[Row]) -> None:
+    """Write a file of results, whole or not at all: an interruption leaves the older one.
+
+    Args:
+        path: of the CSV file; replaced if it exists.
+        rows: what to write.
+
+    Raises:
+        JaxblurIOError: the disk refused.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        figures = (getattr(row.figures, name) for name in FIGURE_COLUMNS)
+        writer.writerow((*row.identity, row.code, row.machine, *map(_cell, figures)))
+    with replacing(path) as temporary:
+        pathlib.Path(temporary).write_text(text.getvalue(), encoding="utf-8")
+
+
+def _cell(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def latest(rows: Sequence[Row]) -> list[Row]:
+    """Of rows that measure the same, on whatever code, the last one.
+
+    Args:
+        rows: in the order of the file.
+
+    Returns:
+        One row for each identity.
+    """
+    return list({row.identity: row for row in rows}.values())

@@ -1,0 +1,322 @@
+"""``jaxblur bench``: how long filters take and how wrong they are, on frames or scenes."""
+
+import argparse
+import logging
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from jaxblur.settings import CHOICES, Settings
+
+from . import published, stages
+from .arguments import (
+    CommandError,
+    add_command,
+    add_vector_options,
+    check_folder,
+    file_path,
+    one_of,
+    positive_integer,
+    positive_number,
+)
+from .blur import add_source_options
+from .compute import start_jax
+from .console import print_line, print_table, track
+from .filtering import add_nonfinite_option
+from .scene import image_size
+
+LOG = logging.getLogger("jaxblur")
+
+METHODS = (*published.FILTERS, "unblurred", "accumulate", "stochastic", "motion_paths")
+BATCH = 8
+REGRESSION = 1
+
+EXPLANATION = """\
+Every row of RESULTS.csv is one method with its settings on one frame: median and interquartile
+range of the time (compiled before, timed in turn with others, and with a fixed piece of work that
+tells how busy the machine is), processor time, compile time, memory, and with a truth PSNR, SSIM
+and FLIP on display values, whole and where motion reaches (moving_...). Run again to go on after an
+interruption: what the file holds is not measured again, unless the code has changed.
+
+--compare divides each time by that of the fixed work in the same rounds. A case is slower if
+the ratio exceeds 1 + tolerance by more than three standard errors, larger if its temporary buffers
+grew by more than the tolerance, worse if PSNR where motion reaches fell by more than 0.1 dB; any of
+these gives exit status 1. Without frames or scenes it measures the scenes of OLD.csv again."""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(commands, "bench", "Measure speed against error.", run)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EXPLANATION
+    parser.add_argument("frames", nargs="*", type=file_path, metavar="FRAME", help="frames (EXR)")
+    parser.add_argument(
+        "--truth",
+        type=file_path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="what FRAME should become; one for each frame, in their order",
+    )
+    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truths to look in")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=file_path,
+        required=True,
+        metavar="RESULTS.csv",
+        help="rows are added",
+    )
+    parser.add_argument(
+        "--table", type=file_path, metavar="OUT.md", help="write the fronts here too"
+    )
+    _add_scene_options(parser)
+    _add_grid_options(parser)
+    group = parser.add_argument_group("regression guard")
+    group.add_argument(
+        "--compare", type=file_path, metavar="OLD.csv", help="an earlier RESULTS.csv"
+    )
+    group.add_argument(
+        "--tolerance",
+        type=positive_number,
+        default=10.0,
+        metavar="PERCENT",
+        help="by which time and memory may grow (default %(default)g)",
+    )
+    add_vector_options(parser)
+    add_source_options(parser)
+    add_nonfinite_option(parser)
+
+
+def _add_scene_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("scenes of the catalogue")
+    group.add_argument(
+        "--scene", type=_several(str), default=[], metavar="NAME,...", help="see `jaxblur scene`"
+    )
+    group.add_argument(
+        "--size",
+        type=_several(image_size),
+        default=[(180, 320)],
+        metavar="WxH,...",
+        help="default 320x180",
+    )
+    group.add_argument(
+        "--truth-samples",
+        type=positive_integer,
+        default=128,
+        metavar="N",
+        help="images that make a truth (default %(default)s)",
+    )
+
+
+def _add_grid_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what is measured")
+    group.add_argument(
+        "--methods",
+        type=_several(_method),
+        default=[*published.FILTERS, "unblurred"],
+        metavar="NAME,...",
+        help=f"of {', '.join(METHODS)} (default: the filters, and unblurred)",
+    )
+    group.add_argument(
+        "--samples", type=_several(positive_integer), metavar="N,...", help="default 9,15,27,35"
+    )
+    group.add_argument("--radius", type=_several(_radius), metavar="auto|PX,...")
+    for name in ("fetch", "tile_choice", "directions"):
+        group.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=_several(_choice(name)),
+            metavar="NAME,...",
+            help=f"of {', '.join(CHOICES[name])}",
+        )
+    group.add_argument(
+        "--grid",
+        choices=("product", "axes"),
+        default="product",
+        help="every combination, or one departure from the published settings at a time",
+    )
+    group.add_argument(
+        "--repeats",
+        type=positive_integer,
+        default=9,
+        metavar="N",
+        help="times that each is timed (default %(default)s)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure what the file lacks, print the fronts, compare; see `add_parser`."""
+    _check(arguments)
+    # Compile times are part of the results.
+    start_jax(compile_cache=False)
+    from jaxblur import bench
+
+    old = _read(arguments.compare) if arguments.compare else []
+    known = _read(arguments.output) if arguments.output.exists() else []
+    jobs = _jobs(arguments, old)
+    rows = _measure(arguments, jobs, known)
+    wanted = {bench.identity(subject, case) for subject, case in jobs}
+    current = [row for row in bench.latest(rows) if row.identity in wanted]
+    text = bench.report(current)
+    for line in text.splitlines():
+        print_line(line)
+    if arguments.table:
+        arguments.table.write_text(text, encoding="utf-8")
+    return _compare(arguments, old, current) if arguments.compare else 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.output.suffix.lower() != ".csv":
+        raise CommandError(f"{arguments.output}: results are CSV; change the extension.")
+    for output in (arguments.output, arguments.table):
+        if output is not None:
+            check_folder(output.parent)
+            if not output.parent.is_dir():
+                raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    if not (arguments.frames or arguments.scene or arguments.compare):
+        raise CommandError("give frames, --scene NAME, or --compare OLD.csv.")
+    if arguments.truth and len(arguments.truth) != len(arguments.frames):
+        raise CommandError(
+            f"--truth: {len(arguments.truth)} for {len(arguments.frames)} frames; give one each."
+        )
+    if arguments.compare and arguments.compare.resolve() == arguments.output.resolve():
+        raise CommandError(
+            f"{arguments.output}: is what it would be compared with; choose another."
+        )
+
+
+def _read(path: pathlib.Path) -> list[Any]:
+    from jaxblur import bench
+
+    try:
+        return bench.read_rows(path)
+    except UnicodeDecodeError as error:
+        raise CommandError(
+            f"{path}: is no text; give a file that `jaxblur bench` wrote."
+        ) from error
+
+
+def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, Any]]:
+    """Subjects with their cases: as asked for, or those of the older file."""
+    subjects = _subjects(arguments)
+    if subjects:
+        cases = _cases(arguments)
+        return [(subject, case) for subject in subjects for case in cases]
+    from jaxblur import bench
+
+    jobs = bench.catalogue_jobs(old)
+    if not jobs:
+        raise CommandError(
+            f"{arguments.compare}: holds no scene of the catalogue; give the frames it measured."
+        )
+    return jobs
+
+
+def _subjects(arguments: argparse.Namespace) -> list[Any]:
+    from jaxblur import bench
+
+    subjects = [
+        bench.catalogue_subject(name, size, arguments.shutter, arguments.truth_samples)
+        for name in arguments.scene
+        for size in arguments.size
+    ]
+    truths = arguments.truth or [None] * len(arguments.frames)
+    for path, truth in zip(arguments.frames, truths, strict=True):
+        subjects.append(_file_subject(arguments, path, truth))
+    return subjects
+
+
+def _file_subject(
+    arguments: argparse.Namespace, path: pathlib.Path, truth: pathlib.Path | None
+) -> Any:
+    from jaxblur import bench
+    from jaxblur.frame import Frame
+
+    named = argparse.Namespace(**vars(arguments) | {"input": path, "truth": truth})
+    loaded = stages.load(named, Settings())
+    buffers = loaded.buffers
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity)
+    return bench.frame_subject(path.name, frame, loaded.truth, arguments.shutter)
+
+
+def _cases(arguments: argparse.Namespace) -> list[Any]:
+    from jaxblur import bench
+
+    names = ("samples", "radius", "fetch", "tile_choice", "directions")
+    axes = {name: values for name in names if (values := getattr(arguments, name))}
+    axes.setdefault("samples", [9, 15, 27, 35])
+    grid = {"product": bench.product, "axes": bench.one_at_a_time}[arguments.grid]
+    return grid(arguments.methods, axes)
+
+
+def _measure(
+    arguments: argparse.Namespace, jobs: list[tuple[Any, Any]], known: list[Any]
+) -> list[Any]:
+    """Measure what is not known, and write the file after every batch."""
+    from jaxblur import bench
+
+    batches = bench.batches(jobs, known, BATCH)
+    programs, rows = bench.Programs(), list(known)
+    for number in track(range(len(batches)), "bench"):
+        measured = bench.measure(*batches[number], programs, arguments.repeats)
+        rows += measured
+        bench.write_rows(arguments.output, rows)
+        for row in measured:
+            LOG.info("%s %s: %s", row["scene"], row.case.label, _summary(row.figures))
+    return rows
+
+
+def _summary(figures: Any) -> str:
+    text = f"{figures.ms:.3g} ms (IQR {figures.ms_iqr:.2g})"
+    if figures.moving_flip is not None:
+        text += (
+            f", FLIP {figures.moving_flip:.4f}, PSNR {figures.moving_psnr:.2f} dB where it moves"
+        )
+    return text
+
+
+def _compare(arguments: argparse.Namespace, old: Sequence[Any], new: Sequence[Any]) -> int:
+    from jaxblur import bench
+
+    changes = bench.compare(old, new, arguments.tolerance / 100)
+    if not changes:
+        raise CommandError(f"{arguments.compare}: shares no case with what was measured.")
+    columns = ("scene", "case", ">time ratio", ">noise", ">memory", ">PSNR dB", "verdict")
+    print_table(columns, [_change_cells(change) for change in changes])
+    worse = [change for change in changes if change.is_regression]
+    LOG.info("%d of %d cases regressed", len(worse), len(changes))
+    return REGRESSION if worse else 0
+
+
+def _change_cells(change: Any) -> tuple[str, ...]:
+    memory, psnr = change.memory_ratio, change.psnr_change
+    return (
+        f"{change.row['scene']} {change.row['width']}x{change.row['height']}",
+        change.row.case.label,
+        f"{change.ratio:.3f}",
+        f"{100 * change.noise:.1f} %",
+        "" if memory is None else f"{memory:.2f}",
+        "" if psnr is None else f"{psnr:+.2f}",
+        change.verdict,
+    )
+
+
+def _several(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
+    """A parser of values separated by commas."""
+
+    def parse_all(text: str) -> list[Any]:
+        return [parse(item.strip()) for item in text.split(",")]
+
+    return parse_all
+
+
+def _method(text: str) -> str:
+    return one_of(text, METHODS, "method")
+
+
+def _radius(text: str) -> int | str:
+    return text if text == "auto" else positive_integer(text)
+
+
+def _choice(name: str) -> Callable[[str], str]:
+    return lambda text: one_of(text, CHOICES[name], name.replace("_", " "))
