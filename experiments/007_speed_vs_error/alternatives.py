@@ -70,8 +70,17 @@ def make_inputs(frame: jaxblur.Frame, settings: jaxblur.Settings) -> Inputs:
     """
     noise = make_noise(settings.noise, *np.shape(frame.depth))
     buffers = (frame.color, frame.depth, frame.velocity, noise.tap, noise.tile)
-    arrays = (np.ascontiguousarray(buffer, np.float32) for buffer in buffers)
-    return Inputs(*arrays, jaxblur.GuertinParameters(), settings.samples, settings.radius)
+    color, depth, velocity, tap, tile = (np.array(buffer, np.float32) for buffer in buffers)
+    return Inputs(
+        color,
+        depth,
+        velocity,
+        tap,
+        tile,
+        jaxblur.GuertinParameters(),
+        settings.samples,
+        settings.radius,
+    )
 
 
 def filter_run(frame: jaxblur.Frame, settings: jaxblur.Settings) -> Callable[[], jax.Array]:

@@ -1,5 +1,6 @@
 """Made-up frames whose share of moving tiles is known: to time filters on, not to judge them by."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..frame import Frame
@@ -18,11 +19,12 @@ def moving_frame(height: int, width: int, moving: float = 1.0, tile: int = 40) -
         tile: size of a tile in pixels.
 
     Returns:
-        The frame, as NumPy arrays in float32.
+        The frame, float32.
     """
     y, x = np.mgrid[:height, :width].astype(np.float32) * np.float32(1280 / width)
     velocity = np.stack([25 * np.cos(y / 80) + 8 * np.sin(x / 50), 20 * np.sin(x / 90)], axis=-1)
     velocity *= width / 1280
     velocity[:, round(moving * width / tile) * tile :] = 0
     color = np.random.default_rng(0).random((height, width, 3), np.float32)
-    return Frame(color, 5 + np.sin(x / 33) + np.cos(y / 21), velocity.astype(np.float32))
+    depth = 5 + np.sin(x / 33) + np.cos(y / 21)
+    return Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in (color, depth, velocity)))
