@@ -12,12 +12,13 @@ from typing import Any
 
 import jaxblur
 
-from . import blur, demo, fit, info, scene, vectors
-from .arguments import CommandError, Parser, in_option_names
+from . import bench, blur, demo, fit, info, report, scene, vectors
+from .arguments import Parser, in_option_names
 from .console import one_line
+from .errors import is_foreseeable, message_of
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, fit, info, vectors, demo, scene)
+COMMANDS = (blur, fit, info, vectors, report, demo, scene)
 
 USAGE = 2
 INTERRUPTED = 130
@@ -45,17 +46,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = arguments.run(arguments)
             sys.stdout.flush()
             return status
-        except KeyboardInterrupt:
-            LOG.error("interrupted")
+        except KeyboardInterrupt as interruption:
+            LOG.error("%s", str(interruption) or "interrupted")
             return INTERRUPTED
         except BrokenPipeError:
             _discard_stdout()
             return BROKEN_PIPE
         except Exception as error:
-            if not _is_foreseeable(error):
+            if not is_foreseeable(error):
                 raise
             LOG.debug("%s", traceback.format_exc().rstrip())
-            LOG.error("%s", in_option_names(_message(error), options))
+            LOG.error("%s", in_option_names(message_of(error), options))
             return USAGE
 
 
@@ -106,26 +107,6 @@ def _level(verbose: bool, quiet: bool) -> int:
     if quiet:
         return logging.ERROR
     return logging.DEBUG if verbose else logging.INFO
-
-
-def _is_foreseeable(error: Exception) -> bool:
-    """Tell what a user can mend from what is a bug in this program."""
-    if isinstance(error, CommandError | ValueError | OSError | MemoryError):
-        return True
-    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
-        return True
-    # Late, because it loads the image library.
-    from jaxblur.exr import JaxblurIOError
-
-    return isinstance(error, JaxblurIOError)
-
-
-def _message(error: Exception) -> str:
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
-        return f"out of memory; use a smaller frame or fewer samples ({error})"
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
 
 
 def _discard_stdout() -> None:

@@ -1,0 +1,63 @@
+"""``jaxblur report``: a folder of results as one HTML page."""
+
+import argparse
+import logging
+import pathlib
+from typing import Any
+
+from .arguments import (
+    CommandError,
+    add_command,
+    check_folder,
+    check_outputs,
+    file_path,
+    positive_number,
+)
+from .console import print_line
+
+LOG = logging.getLogger("jaxblur")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "report", "Make one HTML page of a folder of results; it needs no network.", run
+    )
+    parser.add_argument(
+        "input",
+        type=file_path,
+        metavar="RESULT_DIR",
+        help="what `jaxblur blur --truth FILE --result DIR` or an experiment wrote",
+    )
+    parser.add_argument(
+        "-o", "--output", type=file_path, required=True, metavar="OUT.html", help="page to write"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing page")
+    parser.add_argument(
+        "--max-megabytes",
+        type=positive_number,
+        default=20.0,
+        metavar="MB",
+        help="crop pictures around their largest error to stay below (default %(default)g)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page; see `add_parser`."""
+    from jaxblur.exr.atomic import replacing
+    from jaxblur.report import build_page, read_result
+
+    output = arguments.output
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise CommandError(f"{output}: can write .html only; change the extension.")
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_folder(output.parent)
+    check_outputs([output], arguments.overwrite)
+    page = build_page(read_result(arguments.input), arguments.max_megabytes)
+    for warning in page.warnings:
+        LOG.warning("%s", warning)
+    with replacing(output) as temporary:
+        pathlib.Path(temporary).write_text(page.html, encoding="utf-8")
+    print_line(output)
+    return 0
