@@ -14,7 +14,7 @@ from .frame import Frame
 from .noise import Noise
 from .settings import Settings
 
-FRAME_AXES = {"color": 4, "depth": 3, "velocity": 4, "path": 5}
+FRAME_AXES = {"color": 4, "depth": 3, "velocity": 4, "path": 5, "valid": 3}
 NOISE_AXES = {"tap": 3, "tile": 4}
 
 

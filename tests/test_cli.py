@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import jaxblur
-from jaxblur.cli import arguments, blur, console, published
+from jaxblur.cli import arguments, console, published, stages
 from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, plain_frame, write_single
@@ -126,7 +126,7 @@ def test_bugs_are_not_dressed_up_as_user_errors(monkeypatch, tmp_path):
     def broken(*_):
         raise TypeError("a bug")
 
-    monkeypatch.setattr(blur, "apply_filter", broken)
+    monkeypatch.setattr(stages, "apply_filter", broken)
     with pytest.raises(TypeError, match="a bug"):
         run("blur", CAR, "-o", tmp_path / "out.exr")
 
@@ -135,7 +135,7 @@ def test_interrupting_gives_130_and_leaves_nothing(monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(blur, "apply_filter", interrupted)
+    monkeypatch.setattr(stages, "apply_filter", interrupted)
     outcome = run("blur", CAR, "-o", tmp_path / "out.exr")
     assert outcome.status == 130
     assert outcome.err.splitlines()[-1] == "jaxblur: error: interrupted"
@@ -177,10 +177,9 @@ def test_a_closed_pipe_ends_quietly():
 def test_verbose_shows_where_an_error_came_from_and_quiet_hides_remarks(tmp_path):
     loud = run("info", tmp_path / "missing.exr", "-v")
     assert loud.status == 2 and "Traceback" in loud.err
-    bad = run("blur", CAR, "-o", tmp_path / "out.exr", "--samples", "14", "--filter", "mcguire2012")
-    quiet = run(
-        "blur", CAR, "-o", tmp_path / "out.exr", "--samples", "14", "--filter", "mcguire2012", "-q"
-    )
+    truth = write_single(tmp_path / "truth.exr", plain_frame((20, 30)))
+    late = ("blur", CAR, "-o", tmp_path / "out.exr", "--truth", truth)
+    bad, quiet = run(*late), run(*late, "-q")
     assert "vectors: blender" in bad.err
     assert quiet.err.splitlines() == bad.err.splitlines()[-1:]
 

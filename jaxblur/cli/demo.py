@@ -9,11 +9,11 @@ from jaxblur.settings import Settings
 
 from . import published
 from .arguments import add_command, add_compute_options, check_folder, file_path
-from .blur import SCORE_COLUMNS, score_rows
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import apply_filter
 from .scene import image_size, make_scene
+from .stages import SCORE_COLUMNS, score_rows, scores
 
 SHUTTER = 0.5
 TRUTH_SAMPLES = 64
@@ -72,6 +72,6 @@ def run(arguments: argparse.Namespace) -> int:
     for kind, image in (("sharp", sharp), ("blurred", blurred), ("truth", truth)):
         exr.write_image(pngs[kind], image)
         print_line(f"{images[kind]}, {pngs[kind].name}")
-    print_table(SCORE_COLUMNS, score_rows({"sharp": sharp, name: blurred}, truth))
+    print_table(SCORE_COLUMNS, score_rows(scores({"sharp": sharp, name: blurred}, truth)))
     print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
     return 0

@@ -112,7 +112,12 @@ def complete(
         settings, values = fitted.settings, fitted_values | values
     names = ("samples", "radius", *CHOICES)
     given = {key: value for key in names if (value := getattr(arguments, key))}
-    return name, published.checked_parameters(name, values), Settings(**settings | given)
+    chosen = Settings(**settings | given)
+    if name == "mcguire2012" and chosen.samples % 2 == 0:
+        raise CommandError(
+            f"--samples must be odd for {name}, got {chosen.samples}; use {chosen.samples + 1}."
+        )
+    return name, published.checked_parameters(name, values), chosen
 
 
 def apply_filter(

@@ -30,6 +30,9 @@ class JaxblurIOError(Exception):
         self.reason = " ".join(reason.split())
         super().__init__(f"{self.path}: {self.reason}")
 
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        return type(self), (self.path, self.reason)
+
 
 class JaxblurIOWarning(UserWarning):
     """Something in a file is suspicious or was changed, but the work went on."""

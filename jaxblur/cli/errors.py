@@ -1,0 +1,24 @@
+"""Which errors a user can mend, and how they are told."""
+
+from .arguments import CommandError
+
+
+def is_foreseeable(error: BaseException) -> bool:
+    """Tell what a user can mend from what is a bug in this program."""
+    if isinstance(error, CommandError | ValueError | OSError | MemoryError):
+        return True
+    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
+        return True
+    # Late, because it loads the image library.
+    from jaxblur.exr import JaxblurIOError
+
+    return isinstance(error, JaxblurIOError)
+
+
+def message_of(error: BaseException) -> str:
+    """Say what went wrong, in one or several lines."""
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        return f"out of memory; use a smaller frame or fewer samples ({error})"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)

@@ -1,0 +1,401 @@
+"""``jaxblur blur`` on sequences: names and options, the plan, the run, and what is told of it."""
+
+import argparse
+import dataclasses
+import json
+import logging
+import os
+import pathlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jaxblur
+
+from . import stages
+from .arguments import CommandError, in_option_names, positive_integer
+from .compute import start_jax
+from .console import print_line, print_table
+from .errors import is_foreseeable, message_of
+from .progress import about_frame, frame_messages, progress
+
+LOG = logging.getLogger("jaxblur")
+
+FAILED = 1
+WRITE_FAILURES = 3
+"""So many frames in a row that cannot be written mean that none can."""
+
+# What does not change the pixels of an output: where things are, how it is told, who works. The
+# file of parameters counts by what it holds.
+NOT_A_CHOICE = frozenset(
+    {
+        *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
+        *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
+        *("truth", "truth_layer", "velocity_from", "depth_from", "no_compile_cache"),
+    }
+)
+
+
+def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
+    """Add the options that only sequences have.
+
+    Args:
+        parser: of the command.
+        existing: group of the ways to treat outputs that exist.
+    """
+    existing.add_argument(
+        "--skip-existing",
+        action="store_true",
+        help="keep frames that were made in the same way, which is what happens without "
+        "--overwrite too; any other file in the place of an output is refused",
+    )
+    group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
+    group.add_argument(
+        "-F",
+        "--frames",
+        type=_frames,
+        metavar="A-B[xN]",
+        help="such as 1001-1240 or 1-100x2,107 (default: all that are there)",
+    )
+    group.add_argument(
+        "--cut",
+        type=_frames,
+        default=[],
+        metavar="A,B",
+        help="pass these frames through unblurred: at a camera cut vectors mean nothing",
+    )
+    group.add_argument("--dry-run", action="store_true", help="say what would be done, do nothing")
+    group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
+    group.add_argument(
+        "--scheduler",
+        metavar="local|ADDRESS",
+        help="hand frames to processes on this machine, or to the Dask scheduler at an address "
+        "such as tcp://farm:8786",
+    )
+    group.add_argument(
+        "--workers",
+        type=positive_integer,
+        metavar="N",
+        help="processes of --scheduler local (default 2)",
+    )
+
+
+def is_asked_for(arguments: argparse.Namespace) -> bool:
+    """Tell a sequence from a frame by the name of the input."""
+    from jaxblur.sequence import has_frame_number
+
+    return arguments.frames is not None or has_frame_number(arguments.input)
+
+
+def refuse_options(arguments: argparse.Namespace) -> None:
+    """Refuse options of sequences where there is one frame.
+
+    Raises:
+        CommandError: one is given.
+    """
+    for name in ("cut", "dry_run", "json", "skip_existing", "scheduler", "workers"):
+        if getattr(arguments, name):
+            raise CommandError(
+                f"--{name.replace('_', '-')}: is for sequences; write the input as name.####.exr."
+            )
+
+
+def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
+    """Blur a sequence.
+
+    Args:
+        arguments: of the command.
+        asked: what the options say of the filter.
+
+    Returns:
+        0 if every frame is done, 1 if some are not.
+
+    Raises:
+        CommandError: nothing was begun, since an option is wrong or an output must not be
+            replaced.
+    """
+    from jaxblur.sequence import plan_jobs
+
+    arguments.in_sequence = True
+    if arguments.workers and arguments.scheduler != "local":
+        raise CommandError("--workers: is for --scheduler local.")
+    sources, outputs = _names(arguments)
+    frames = arguments.frames or _frames_on_disk(sources["input"])
+    for frame in arguments.cut:
+        if frame not in frames:
+            raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    choices = _choices(arguments, asked)
+    plan = plan_jobs(
+        frames, sources, outputs, choices, overwrite=arguments.overwrite, cuts=arguments.cut
+    )
+    if arguments.dry_run:
+        return _print_plan(plan, arguments.json)
+    _refuse(plan, sources["input"])
+    return _Run(arguments, asked, plan).run()
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameWork:
+    """The stages of one frame of a sequence.
+
+    Attributes:
+        arguments: of the command.
+        asked: what the options say of the filter.
+    """
+
+    arguments: argparse.Namespace
+    asked: stages.Choice
+
+    def read(self, job: Any, _: None) -> stages.Loaded:
+        """Read a frame and its truth."""
+        with about_frame(job.frame):
+            stages.warn_of_double_blur(job.inputs["input"])
+            return stages.load(self._at(job), self.asked.settings)
+
+    def blur(self, job: Any, loaded: stages.Loaded) -> tuple[stages.Loaded, stages.Choice, Any]:
+        """Blur a frame, or pass it through."""
+        with about_frame(job.frame):
+            start_jax(not self.arguments.no_compile_cache)
+            chosen = dataclasses.replace(self.asked, name=stages.PASSED_THROUGH, parameters={})
+            if job.action != "pass":
+                chosen = stages.choose(self.arguments, self.asked, loaded)
+            return loaded, chosen, stages.blur(chosen, loaded)
+
+    def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
+        """Write a frame, and score it; give what the report needs."""
+        from jaxblur.sequence.jobs import MEAN_SPEED
+
+        loaded, chosen, image = made
+        with about_frame(job.frame):
+            notes = stages.provenance(self._at(job), chosen, loaded.buffers) | job.marks
+            notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
+            stages.write(self._at(job), job.outputs, image, notes)
+            if loaded.buffers.ignored:
+                LOG.warning("not finite: %s", loaded.buffers.ignored)
+            images = {"input": loaded.buffers.color, "output": image}
+            scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
+        return {
+            "mean_speed": loaded.mean_speed,
+            "filter": chosen.name,
+            "scores": {name: score._asdict() for name, score in scored.items()},
+        }
+
+    def stages(self) -> tuple[Any, ...]:
+        """The stages, in order, for `jaxblur.sequence`."""
+        from jaxblur.sequence import Stage
+
+        return (
+            Stage("read", self.read, 2),
+            Stage("blur", self.blur),
+            Stage("write", self.write, 2),
+        )
+
+    def _at(self, job: Any) -> argparse.Namespace:
+        inputs = {role: job.inputs.get(role) for role in _ROLES}
+        return argparse.Namespace(**vars(self.arguments) | inputs)
+
+
+_ROLES = ("input", "velocity_from", "depth_from", "truth")
+
+
+class _Run:
+    """A run over the frames of a plan, and its report."""
+
+    def __init__(self, arguments: argparse.Namespace, asked: stages.Choice, plan: Any):
+        self.arguments, self.asked, self.plan = arguments, asked, plan
+        self.records = {job.frame: _record(job) for job in plan.jobs}
+
+    def run(self) -> int:
+        """Work through the plan and tell what came of it."""
+        todo = self.plan.with_action("blur", "pass")
+        LOG.info("%d frames: %s", len(self.plan.jobs), _counts_in(self.plan))
+        for job in self.plan.with_action("missing"):
+            LOG.error("frame %d: %s", job.frame, job.reason)
+        if todo:
+            self._work(todo)
+        self._report()
+        done = all(record["status"] in ("written", "kept") for record in self.records.values())
+        return 0 if done else FAILED
+
+    def _work(self, todo: list[Any]) -> None:
+        outcomes = _outcomes(self.arguments, self.asked, todo)
+        refused = 0
+        try:
+            with frame_messages(), progress(len(todo)) as tell:
+                for outcome in outcomes:
+                    self._note(outcome, tell)
+                    refused = refused + 1 if outcome.failed_in == "write" else 0
+                    if refused == WRITE_FAILURES:
+                        LOG.error("%d frames in a row cannot be written; stopping.", refused)
+                        break
+        except KeyboardInterrupt as interruption:
+            written = sum(record["status"] == "written" for record in self.records.values())
+            raise KeyboardInterrupt(
+                f"interrupted; {written} of {len(todo)} frames are written, and the same command "
+                "goes on from there"
+            ) from interruption
+        finally:
+            outcomes.close()
+
+    def _note(self, outcome: Any, tell: Callable[[str], None]) -> None:
+        record = self.records[outcome.job.frame]
+        record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
+        for level, text in outcome.messages:
+            LOG.log(level, "%s", text)
+        if outcome.error is None:
+            record |= outcome.result
+            record["status"] = "written"
+            times = ", ".join(f"{stage} {t:.2f}" for stage, t in outcome.seconds.items())
+            total = sum(outcome.seconds.values())
+            tell(f"frame {outcome.job.frame} ok {total:.2f} s ({times})")
+            return
+        if not is_foreseeable(outcome.error) and outcome.failed_in != "worker":
+            raise outcome.error
+        reason = in_option_names(message_of(outcome.error), vars(self.arguments))
+        record |= {"status": "failed", "reason": reason}
+        LOG.error("frame %d: %s", outcome.job.frame, reason)
+        tell(f"frame {outcome.job.frame} failed")
+
+    def _report(self) -> None:
+        from jaxblur.sequence import find_cuts
+
+        records = list(self.records.values())
+        speeds = {
+            record["frame"]: record["mean_speed"]
+            for record in records
+            if record["mean_speed"] is not None and record["action"] != "pass"
+        }
+        cuts = find_cuts(speeds)
+        for cut in cuts:
+            LOG.warning(
+                "frame %d: its vectors are %.1f px long in the mean, those of its neighbors %.1f; "
+                "if the camera cuts here, --cut %d passes the frame through.",
+                *(cut.frame, cut.speed, cut.usual, cut.frame),
+            )
+        if self.arguments.json:
+            cut_frames = [dataclasses.asdict(cut) for cut in cuts]
+            print(json.dumps({"frames": records, "cuts": cut_frames}, indent=2))
+            return
+        print_line(f"{self.arguments.output}: {_counts(r['status'] for r in records)}")
+        rows = _score_rows(records)
+        if rows:
+            print_table(("frame", *stages.SCORE_COLUMNS), rows)
+
+
+def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[Any]) -> Any:
+    from jaxblur.sequence import run_cluster, run_pipeline
+
+    work = FrameWork(arguments, asked).stages()
+    if arguments.scheduler:
+        return run_cluster(todo, work, arguments.scheduler, arguments.workers or 2)
+    # Here and not in the thread that computes: modules are best imported by one thread.
+    start_jax(not arguments.no_compile_cache)
+    return run_pipeline(todo, work)
+
+
+def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
+    """Names of the inputs by what they are for, and of the outputs."""
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    def placed(path: pathlib.Path) -> pathlib.Path:
+        # Workers may stand in another folder.
+        return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
+
+    given = {role: getattr(arguments, role) for role in _ROLES}
+    sources = {
+        role: parse_names(placed(path)) if has_frame_number(path) or role == "input" else path
+        for role, path in given.items()
+        if path is not None
+    }
+    stages.check_output(arguments.output)
+    output = parse_names(placed(arguments.output))
+    beside = [output.with_suffix(".png")] if arguments.png and output.after != ".png" else []
+    return sources, [output, *beside]
+
+
+def _frames_on_disk(names: Any) -> list[int]:
+    frames = names.frames_on_disk()
+    if not frames:
+        raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
+    return frames
+
+
+def _padding_hint(names: Any) -> str:
+    other = names.other_padding()
+    return f"; {other} is padded otherwise, ## stands for two digits" if other else ""
+
+
+def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, Any]:
+    """All that determines an output besides its inputs; a new option counts unless named here."""
+    given = {key: value for key, value in vars(arguments).items() if key not in NOT_A_CHOICE}
+    return given | dataclasses.asdict(asked) | {"version": jaxblur.__version__}
+
+
+def _refuse(plan: Any, names: Any) -> None:
+    """Stop before any work if an output must not be replaced, or if there is no input at all."""
+    refused, missing = plan.with_action("refuse"), plan.with_action("missing")
+    if refused:
+        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
+        raise CommandError(f"{refused[0].reason}{more}.")
+    if len(missing) == len(plan.jobs):
+        raise CommandError(
+            f"{missing[0].reason}, nor any other frame asked for{_padding_hint(names)}."
+        )
+
+
+def _print_plan(plan: Any, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps({"frames": [_record(job) for job in plan.jobs]}, indent=2))
+    else:
+        rows = [(job.frame, job.action, job.reason, job.outputs[0]) for job in plan.jobs]
+        print_table((">frame", "action", "why", "output"), rows)
+        print_line(_counts_in(plan))
+    return FAILED if plan.with_action("missing", "refuse") else 0
+
+
+def _record(job: Any) -> dict[str, Any]:
+    """What is told of a frame, before anything is done."""
+    status = {"keep": "kept", "missing": "missing"}.get(job.action, "not done")
+    return {
+        "frame": job.frame,
+        "action": job.action,
+        "status": status,
+        "reason": job.reason,
+        "outputs": [str(path) for path in job.outputs],
+        "mean_speed": job.mean_speed,
+    }
+
+
+def _counts_in(plan: Any) -> str:
+    return _counts(job.action for job in plan.jobs)
+
+
+def _counts(words: Iterator[str]) -> str:
+    """Count words: ``238 written, 2 kept``."""
+    counts: dict[str, int] = {}
+    for word in words:
+        counts[word] = counts.get(word, 0) + 1
+    return ", ".join(f"{count} {word}" for word, count in counts.items())
+
+
+def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
+    """A row for each frame that has a truth, and the means."""
+    scored = [record for record in records if record.get("scores")]
+    rows = [(r["frame"], *_cells("output", r["scores"]["output"])) for r in scored]
+    for name in ("input", "output") if scored else ():
+        each = [record["scores"][name] for record in scored]
+        mean = {key: sum(score[key] for score in each) / len(each) for key in each[0]}
+        rows.append(("mean", *_cells(name, mean)))
+    return rows
+
+
+def _cells(name: str, score: dict[str, float]) -> tuple[str, ...]:
+    return name, f"{score['psnr']:.2f}", f"{score['ssim']:.4f}", f"{score['flip']:.4f}"
+
+
+def _frames(text: str) -> list[int]:
+    from jaxblur.sequence import parse_frames
+
+    try:
+        return parse_frames(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error

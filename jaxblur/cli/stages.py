@@ -1,0 +1,309 @@
+"""One frame: read it, blur it, write it; the same whether it stands alone or in a sequence."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jaxblur
+from jaxblur.settings import Settings
+
+from .arguments import PNG_TRANSFORM, CommandError, check_folder
+from .filtering import apply_filter
+
+LOG = logging.getLogger("jaxblur")
+
+SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
+
+# In a sequence every radius is a compilation, so that few are used; none is more than 1.5 times
+# as large as needed, from 20 px on.
+SEQUENCE_RADII = (10, 20, 30, 40, 60, 80, 120, 160, 240, 320, 480, 640, 960, 1280, 1920)
+
+PASSED_THROUGH = "none"
+"""Stands for the filter of a frame that was not blurred."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """Which filter runs and how.
+
+    Attributes:
+        name: a key of `jaxblur.FILTERS`, or `PASSED_THROUGH`.
+        parameters: of the filter, by name.
+        settings: of the filter.
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    settings: Settings
+
+
+@dataclasses.dataclass(frozen=True)
+class Loaded:
+    """A frame as it was read.
+
+    Attributes:
+        buffers: as `jaxblur.exr.read_buffers` gives them.
+        truth: (H, W, C) linear light, or None.
+        speeds: a `jaxblur.vectors.SpeedStatistics`.
+        mean_speed: mean half-spread in pixels.
+    """
+
+    buffers: Any
+    truth: Any
+    speeds: Any
+    mean_speed: float
+
+
+def check_output(output: pathlib.Path) -> None:
+    """Refuse the name of an output that cannot be written.
+
+    Raises:
+        CommandError: another format, or there is no such folder, or it is not writable.
+    """
+    if output.suffix.lower() not in (".exr", ".png"):
+        raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_folder(output.parent)
+
+
+def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
+    """Read the frame that the arguments of `blur` name, and its truth.
+
+    Args:
+        arguments: of the command.
+        settings: whose radius the speeds are held against.
+
+    Returns:
+        The frame.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+        CommandError: the truth has another size.
+    """
+    import numpy as np
+
+    from jaxblur import vectors
+
+    buffers = _read_buffers(arguments)
+    truth = _read_truth(arguments, buffers.color.shape)
+    velocity = buffers.velocity
+    return Loaded(
+        buffers,
+        truth,
+        vectors.speed_statistics(velocity, settings.radius),
+        float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
+    )
+
+
+def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choice:
+    """Settle what hangs on the frame: the plan, and the radius.
+
+    Args:
+        arguments: of the command.
+        asked: what the options say.
+        loaded: the frame.
+
+    Returns:
+        What is to be run.
+
+    Raises:
+        CommandError: no plan fits the frame.
+    """
+    if arguments.plan:
+        chosen = _planned(arguments, loaded.buffers)
+        return _with_radius(chosen, chosen.settings.radius, arguments)
+    if arguments.radius == 0:
+        chosen = _with_radius(asked, loaded.speeds.suggested_radius, arguments)
+        fastest = loaded.speeds.percentiles[100.0]
+        LOG.info("radius: %d px, for half-spreads up to %.1f px", chosen.settings.radius, fastest)
+        return chosen
+    if loaded.speeds.beyond_share > 0:
+        LOG.warning(
+            "%.2g %% of the vectors are longer than the radius of %d px and are cut to it; "
+            "--radius auto would take %d",
+            100 * loaded.speeds.beyond_share,
+            asked.settings.radius,
+            loaded.speeds.suggested_radius,
+        )
+    return asked
+
+
+def blur(chosen: Choice, loaded: Loaded) -> Any:
+    """Run the filter; a frame that is passed through goes through it without motion.
+
+    Args:
+        chosen: what is to be run.
+        loaded: the frame.
+
+    Returns:
+        (H, W, C) NumPy array.
+    """
+    import numpy as np
+
+    buffers = loaded.buffers
+    if chosen.name == PASSED_THROUGH:
+        still = np.zeros_like(buffers.velocity)
+        buffers = dataclasses.replace(buffers, velocity=still, path=None)
+        return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings)
+
+
+def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
+    """Score images against a truth.
+
+    Args:
+        images: (H, W, C) linear light by name.
+        truth: (H, W, C) linear light.
+
+    Returns:
+        `jaxblur.metrics.Scores` by name.
+    """
+    from jaxblur import metrics
+
+    return {
+        name: metrics.compare(metrics.rgb(image), metrics.rgb(truth))
+        for name, image in images.items()
+    }
+
+
+def score_rows(scored: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Format `scores` as rows for `SCORE_COLUMNS`."""
+    return [
+        (name, f"{score.psnr:.2f}", f"{score.ssim:.4f}", f"{score.flip:.4f}")
+        for name, score in scored.items()
+    ]
+
+
+def write(
+    arguments: argparse.Namespace,
+    outputs: Sequence[pathlib.Path],
+    image: Any,
+    provenance: Mapping[str, str],
+) -> None:
+    """Write an image to every output of a frame.
+
+    Args:
+        arguments: of the command.
+        outputs: ``.exr`` and ``.png`` files.
+        image: (H, W, C) linear light.
+        provenance: metadata to add.
+
+    Raises:
+        JaxblurIOError: the disk refused, or the image holds what cannot be written.
+    """
+    from jaxblur import exr
+
+    from_exr = arguments.input.suffix.lower() == ".exr"
+    for output in outputs:
+        exr.write_image(
+            output,
+            image,
+            like=arguments.input if from_exr else None,
+            extra="drop" if arguments.drop_extra else "keep",
+            attributes=provenance,
+            layer=arguments.layer,
+            color_channels=arguments.color_channels,
+        )
+        if output.suffix.lower() == ".png":
+            LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
+
+
+def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
+    """Give what must be known to make an output again; names of files, without folders."""
+    used = dataclasses.asdict(chosen.settings) | {
+        "shutter": arguments.shutter,
+        "preset": buffers.guess.preset.name,
+        "depth": buffers.depth_kind,
+    }
+    inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    return {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:filter": chosen.name,
+        "jaxblur:parameters": _toml(chosen.parameters),
+        "jaxblur:settings": _toml(used),
+        "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
+    }
+
+
+def warn_of_double_blur(path: pathlib.Path) -> None:
+    """Say so if a frame was blurred before."""
+    from jaxblur import exr
+
+    earlier = [part.attributes.get("jaxblur:filter") for part in exr.inspect(path).parts]
+    for name in earlier:
+        if name not in (None, PASSED_THROUGH):
+            LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+
+
+def _read_buffers(arguments: argparse.Namespace) -> Any:
+    """Read the frame that the arguments name, and say how it was read."""
+    from jaxblur import exr
+
+    buffers = exr.read_buffers(
+        arguments.input,
+        arguments.preset,
+        arguments.shutter,
+        depth=arguments.depth,
+        velocity_from=arguments.velocity_from,
+        depth_from=arguments.depth_from,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        color_channels=arguments.color_channels,
+        velocity_channels=arguments.velocity_channels,
+        depth_channel=arguments.depth_channel,
+        nonfinite=arguments.nonfinite,
+    )
+    LOG.info("color: %s", ", ".join(buffers.color_channels))
+    LOG.info("vectors: %s", buffers.guess.reason)
+    LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
+    return buffers
+
+
+def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    from jaxblur import exr
+
+    if arguments.truth is None:
+        return None
+    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    if truth.shape[:2] != shape[:2]:
+        (rows, columns), (height, width) = truth.shape[:2], shape[:2]
+        raise CommandError(
+            f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
+            f"{width}x{height}; render both with the same data window."
+        )
+    return truth
+
+
+def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:
+    """Choose by the frame what `complete` takes from the options, and say why."""
+    from jaxblur.frame import Frame
+    from jaxblur.planning import plan
+
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity)
+    try:
+        chosen = plan(frame, arguments.budget, arguments.tolerance)
+    except ValueError as error:
+        raise CommandError(f"--plan auto: {error}") from error
+    LOG.info("plan: %s", chosen.reason)
+    values = {} if chosen.parameters is None else dataclasses.asdict(chosen.parameters)
+    return Choice(chosen.filter, values, chosen.settings)
+
+
+def _with_radius(choice: Choice, radius: int, arguments: argparse.Namespace) -> Choice:
+    """Take a radius from the frame; in a sequence, the next larger one of a few."""
+    if arguments.in_sequence:
+        radius = next((step for step in SEQUENCE_RADII if step >= radius), radius)
+    settings = dataclasses.replace(choice.settings, radius=radius)
+    return dataclasses.replace(choice, settings=settings)
+
+
+def _toml(values: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}"
+        for name, value in values.items()
+    )

@@ -1,0 +1,32 @@
+"""Sequences of frames: names, what is to be done, and who does it.
+
+A sequence is a list of `Job`, one a frame. `plan_jobs` decides before any work what becomes of
+each frame, by what is on the disk: outputs carry a digest of everything that made them
+(`digest`), so that a run that was interrupted at any moment goes on where it stopped, and outputs
+made in another way are never taken for its own. Jobs are independent of each other and may be
+done twice: a file appears under its name only when it is whole.
+
+Jobs pass through the same `Stage`s wherever they run: `run_pipeline` overlaps reading, computing
+and writing in one process, `run_cluster` hands frames to the workers of a Dask cluster.
+"""
+
+from .cluster import run_cluster as run_cluster
+from .cuts import Cut as Cut, find_cuts as find_cuts
+from .jobs import (
+    Job as Job,
+    Plan as Plan,
+    digest as digest,
+    plan_jobs as plan_jobs,
+)
+from .names import (
+    FrameNames as FrameNames,
+    has_frame_number as has_frame_number,
+    parse_frames as parse_frames,
+    parse_names as parse_names,
+)
+from .pipeline import (
+    Outcome as Outcome,
+    Stage as Stage,
+    run_pipeline as run_pipeline,
+    run_stages as run_stages,
+)

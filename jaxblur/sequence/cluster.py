@@ -1,0 +1,142 @@
+"""Jobs on the workers of a Dask cluster: other processes, or other machines.
+
+The workers see the files under the same names as this process and have the same jaxblur. A worker
+that dies takes nothing with it: what it had in work is given to another one, and a job that is
+done twice writes the same file twice, each time whole or not at all.
+"""
+
+import contextlib
+import logging
+import threading
+import uuid
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import jaxblur
+
+from .jobs import Job
+from .pipeline import Outcome, Stage, run_stages
+
+LOG = logging.getLogger("jaxblur")
+LOCAL = "local"
+# No limit of memory: a worker near it would be paused, then killed.
+LOCAL_OPTIONS: dict[str, Any] = {
+    "threads_per_worker": 1,
+    "memory_limit": None,
+    "dashboard_address": None,
+    "silence_logs": logging.CRITICAL,
+}
+
+
+def run_cluster(
+    jobs: Iterable[Job], stages: Sequence[Stage], scheduler: str, workers: int = 2
+) -> Iterator[Outcome]:
+    """Take jobs through stages on the workers of a Dask cluster, each job on one worker.
+
+    Args:
+        jobs: the jobs; paths that every worker can use.
+        stages: in order; their functions must bear to be pickled.
+        scheduler: ``local`` for processes on this machine, or the address of a scheduler, such
+            as ``tcp://farm:8786``.
+        workers: number of local processes.
+
+    Yields:
+        Outcomes, as they come about. When the iterator is closed early, nothing else is begun.
+
+    Raises:
+        ValueError: Dask is not installed, or the scheduler does not answer.
+    """
+    with _client(scheduler, workers) as client:
+        from distributed import as_completed
+
+        run = uuid.uuid4().hex
+        futures = {
+            client.submit(
+                work_on, job, tuple(stages), jaxblur.__version__, key=f"{run}-{job.frame}"
+            ): job
+            for job in jobs
+        }
+        try:
+            for future in as_completed(list(futures)):
+                yield _outcome(future, futures[future])
+        finally:
+            client.cancel(list(futures))
+
+
+def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
+    """Run a job on a worker, and collect what it logs.
+
+    Args:
+        job: the job.
+        stages: in order.
+        version: of jaxblur where the job comes from.
+
+    Returns:
+        The outcome, with the messages.
+
+    Raises:
+        RuntimeError: this worker has another version of jaxblur.
+    """
+    if version != jaxblur.__version__:
+        raise RuntimeError(
+            f"a worker has jaxblur {jaxblur.__version__}, not {version}; install the same."
+        )
+    with _messages() as messages:
+        outcome = run_stages(job, stages)
+    outcome.messages = tuple(messages)
+    return outcome
+
+
+@contextlib.contextmanager
+def _client(scheduler: str, workers: int) -> Iterator[Any]:
+    """Connect to a scheduler, or start one with workers and stop it afterwards."""
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise ValueError(
+            "`scheduler` needs Dask, which is not installed: pip install 'jaxblur[dask]'."
+        ) from error
+    with contextlib.ExitStack() as stack:
+        address: Any = scheduler
+        if scheduler == LOCAL:
+            address = stack.enter_context(LocalCluster(n_workers=workers, **LOCAL_OPTIONS))
+        try:
+            client = Client(address, set_as_default=False, timeout=10)
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"`scheduler`: {scheduler} does not answer; give local or the address that "
+                "`dask scheduler` prints, such as tcp://farm:8786."
+            ) from error
+        yield stack.enter_context(client)
+
+
+def _outcome(future: Any, job: Job) -> Outcome:
+    error = future.exception()
+    if error is None:
+        return future.result()
+    return Outcome(job, error=error, failed_in="worker")
+
+
+@contextlib.contextmanager
+def _messages() -> Iterator[list[tuple[int, str]]]:
+    """Collect log records and warnings of this thread."""
+    messages: list[tuple[int, str]] = []
+    thread = threading.get_ident()
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if threading.get_ident() == thread:
+                messages.append((record.levelno, record.getMessage()))
+
+    collector = Collector()
+    LOG.addHandler(collector)
+    LOG.setLevel(logging.INFO)
+    LOG.propagate = False
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("always", category=UserWarning)
+            warnings.showwarning = lambda message, *_, **__: LOG.warning("%s", message)
+            yield messages
+    finally:
+        LOG.removeHandler(collector)

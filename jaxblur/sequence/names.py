@@ -1,0 +1,139 @@
+"""Names of sequences: ``beauty.####.exr``, ``beauty.%04d.exr``, and frames such as 1001-1240x2."""
+
+import dataclasses
+import os
+import pathlib
+import re
+from collections.abc import Mapping
+
+PathLike = str | os.PathLike[str]
+
+_PLACEHOLDER = re.compile(r"#|@|%0?\d*d|\$F\d*")
+_LONE_HASH = re.compile(r"(?<!#)#(?!#)")
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameNames:
+    """File names of a sequence.
+
+    Attributes:
+        pattern: as it was given, for messages.
+        before: path up to the frame number.
+        digits: of the frame number, at least; padded with zeros.
+        after: what follows the frame number.
+    """
+
+    pattern: str
+    before: str
+    digits: int
+    after: str
+
+    def path(self, frame: int) -> pathlib.Path:
+        """Name the file of a frame."""
+        return pathlib.Path(f"{self.before}{frame:0{self.digits}d}{self.after}")
+
+    def with_suffix(self, suffix: str) -> "FrameNames":
+        """The same names with another extension."""
+        return dataclasses.replace(self, after=os.path.splitext(self.after)[0] + suffix)
+
+    def frames_on_disk(self) -> list[int]:
+        """List the frames that are there, in order.
+
+        Returns:
+            Their numbers; files whose number is padded otherwise are not of this sequence.
+
+        Raises:
+            OSError: the folder cannot be listed.
+        """
+        return sorted(
+            number for number, name in self._numbered_files() if self.path(number).name == name
+        )
+
+    def other_padding(self) -> str | None:
+        """A file that differs from this sequence in the padding alone, or None."""
+        names = [name for n, name in self._numbered_files() if self.path(n).name != name]
+        return min(names, default=None)
+
+    def _numbered_files(self) -> list[tuple[int, str]]:
+        folder, start = os.path.split(self.before)
+        pattern = re.compile(rf"{re.escape(start)}(-?\d+){re.escape(self.after)}")
+        names = os.listdir(folder or ".")
+        matches = [match for name in names if (match := pattern.fullmatch(name))]
+        return [(int(match[1]), match[0]) for match in matches]
+
+
+def has_frame_number(path: PathLike) -> bool:
+    """Tell whether a file name holds a place for the frame number.
+
+    A file of just that name, ``#`` and all, is a file and no sequence.
+    """
+    return bool(_PLACEHOLDER.search(os.path.basename(path))) and not os.path.exists(path)
+
+
+def parse_names(path: PathLike) -> FrameNames:
+    """Parse names such as ``shots/beauty.####.exr``, ``%04d``, ``@@@@`` or ``$F4``.
+
+    Two or more ``#`` stand for as many digits, a single one for four, as oiiotool reads it.
+
+    Args:
+        path: file name with a place for the frame number; folders are taken as they are.
+
+    Returns:
+        The names.
+
+    Raises:
+        ValueError: there is no place for the frame number, or several.
+    """
+    from fileseq.constants import PAD_STYLE_HASH1
+    from fileseq.filesequence import FileSequence
+
+    folder, name = os.path.split(os.fspath(path))
+    places = re.findall(r"#+|@+|%0?\d*d|\$F\d*", name)
+    if len(places) != 1:
+        problem = "no place" if not places else f"{len(places)} places"
+        raise ValueError(
+            f"{os.fspath(path)}: {problem} for the frame number; write one, such as name.####.exr."
+        )
+    sequence = FileSequence(_LONE_HASH.sub("####", name), pad_style=PAD_STYLE_HASH1)
+    before = os.path.join(folder, str(sequence.basename()))
+    return FrameNames(os.fspath(path), before, sequence.zfill(), str(sequence.extension()))
+
+
+def parse_frames(text: str) -> list[int]:
+    """Parse frames such as ``1001-1240``, ``1-100x2``, ``1,3,7`` or ``-4-4``.
+
+    Args:
+        text: ranges separated by commas; ``x2`` takes every second frame.
+
+    Returns:
+        Frame numbers in the order given, each once.
+
+    Raises:
+        ValueError: it is something else, or names no frame.
+    """
+    from fileseq.exceptions import FileSeqException
+    from fileseq.frameset import FrameSet
+
+    try:
+        frames = list(FrameSet(text))
+    except FileSeqException:
+        frames = []
+    if not frames or any(frame != int(frame) for frame in frames):
+        raise ValueError(f"expected frames such as 1001-1240, 1-100x2 or 1,3,7, got {text!r}")
+    return [int(frame) for frame in frames]
+
+
+def at_frame(names: Mapping[str, FrameNames | pathlib.Path], frame: int) -> dict[str, pathlib.Path]:
+    """The files of a frame; a single file serves every frame.
+
+    Args:
+        names: sequences and files by what they are for.
+        frame: number of the frame.
+
+    Returns:
+        Paths by what they are for.
+    """
+    return {
+        role: name.path(frame) if isinstance(name, FrameNames) else name
+        for role, name in names.items()
+    }
