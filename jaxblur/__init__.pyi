@@ -11,8 +11,10 @@ from .exr import read_frame as read_frame, write_image as write_image
 from .filters import (
     FILTERS as FILTERS,
     GuertinParameters as GuertinParameters,
+    LayeredParameters as LayeredParameters,
     McGuireParameters as McGuireParameters,
     guertin2014 as guertin2014,
+    layered as layered,
     luma_hint as luma_hint,
     mcguire2012 as mcguire2012,
     pixel_velocity as pixel_velocity,

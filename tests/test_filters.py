@@ -19,6 +19,7 @@ PARAMETERS = {
     "guertin2014": jaxblur.GuertinParameters(depth_sharpness=3.0),
     "mcguire2012": jaxblur.McGuireParameters(0.8),
     "pixel_velocity": None,
+    "layered": jaxblur.LayeredParameters(),
 }
 
 

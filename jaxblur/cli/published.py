@@ -82,6 +82,19 @@ FILTERS: dict[str, Published] = {
         radius=20,
     ),
     "pixel_velocity": Published({}, samples=35, radius=40),
+    "layered": Published(
+        {
+            "front_sharpness": _positive(10.0, "how strictly one depth is in front of another"),
+            "landing_tolerance": _positive(1.0, "px by which a guess may miss the pixel"),
+            "own_tolerance": _positive(0.35, "change of velocity within a surface, share"),
+            "surface_sharpness": _positive(20.0, "how strictly depths of a surface agree"),
+            "bend": Parameter(0.5, 0.0, 1.0, False, "bending of the own way by its velocities"),
+            "jitter": Parameter(1.0, 0.0, 1.0, False, "noise of the taps, share of a stratum"),
+            "distinct": _positive(1.0, "px from which on velocities count as different"),
+        },
+        samples=35,
+        radius=160,
+    ),
 }
 DEFAULT_FILTER = "guertin2014"
 

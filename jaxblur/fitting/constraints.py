@@ -15,6 +15,8 @@ depth_sharpness above 0        exponential   scale of relative depth
 soft_z_extent   above 0        exponential   a length
 =============== ============== ============= ====================================================
 
+Of `layered`, ``bend`` and ``jitter`` are shares between 0 and 1, the others are positive scales.
+
 Under the exponential map a step of h is a relative change of h, and so is a standard error.
 """
 
@@ -98,6 +100,15 @@ CONSTRAINTS: dict[str, dict[str, Constraint]] = {
     },
     "mcguire2012": {"soft_z_extent": Positive()},
     "pixel_velocity": {},
+    "layered": {
+        "front_sharpness": Positive(),
+        "landing_tolerance": Positive(),
+        "own_tolerance": Positive(),
+        "surface_sharpness": Positive(),
+        "bend": Interval(0.0, 1.0),
+        "jitter": Interval(0.0, 1.0),
+        "distinct": Positive(),
+    },
 }
 """Range of every parameter of every filter."""
 

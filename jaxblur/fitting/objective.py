@@ -25,7 +25,10 @@ from .losses import Outcomes, Over, Pixel, error_map
 
 NoiseMode = Literal["fresh", "fixed", "builtin"]
 
-MOVES_TAPS = {"guertin2014": ("gamma", "eta", "phi")}
+MOVES_TAPS = {
+    "guertin2014": ("gamma", "eta", "phi"),
+    "layered": ("bend", "jitter", "distinct"),
+}
 """Parameters that move the taps: what is read there must change smoothly."""
 
 CHOOSES_TILES = {"guertin2014": tile_outcomes}
