@@ -1,28 +1,13 @@
-"""Taps along a line: their positions, how they are read, and the sum over them.
+"""Taps along a line: their positions, and how they are read."""
 
-The sum over samples is one kernel. A sample is an elementwise function written for a trailing
-sample axis; on a CPU with a C compiler it becomes a native kernel (`jaxblur.native`), elsewhere
-all of its terms are summed by one variadic reduction over that minor axis, which XLA fuses with
-the reads. Either way nothing of shape (H, W, N) exists in memory. Derivatives with respect to a
-pixel's own values come out of the same kernel; those with respect to what is read elsewhere are
-those of a scan over the samples with rematerialisation.
-"""
-
-import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-from .native import native_sum
-from .settings import Backend, Border, Fetch
-
-Terms = tuple[jax.Array, ...]
-Sample = Callable[[jax.Array, Any, Any], Terms]
+from .settings import Border, Fetch
 
 
 class Texels(NamedTuple):
@@ -150,146 +135,3 @@ def color_planes(color: Float[Array, "height width channels"]) -> tuple[jax.Arra
         C arrays of shape (H * W,).
     """
     return tuple(color[..., channel].reshape(-1) for channel in range(color.shape[-1]))
-
-
-def sum_samples(
-    sample: Sample, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
-) -> Terms:
-    """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
-
-    Args:
-        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays;
-            elementwise but for reads of the tables. Part of the compilation key.
-        count: number of samples N.
-        moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and mean
-            nothing.
-        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
-        tables: pytree of flat arrays that samples read at other pixels.
-        backend: see `jaxblur.Settings`.
-
-    Returns:
-        A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
-        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter.
-
-    Raises:
-        ValueError: the backend is ``native`` and there is no compiler, or no native form.
-    """
-    local, tables = jax.tree.map(jnp.asarray, (local, tables))
-    return _sum_samples(sample, count, backend, moving, local, tables)
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
-def _sum_samples(
-    sample: Sample, count: int, backend: Backend, moving: Any, local: Any, tables: Any
-) -> Terms:
-    """The sums, without and with derivatives."""
-
-    def by_xla(moving: Any, local: Any, tables: Any) -> Terms:
-        # The conditional also keeps XLA from fusing what is computed once per pixel into the
-        # kernel, where it would be computed again at every tap that reads it.
-        nothing = functools.partial(_zero_sums, sample)
-        sums = functools.partial(_sum_at_once, sample, count)
-        return lax.cond(jnp.any(moving), sums, nothing, local, tables)
-
-    native = native_sum(sample, count, moving.shape, local, tables, backend)
-    if native is None:
-        return by_xla(moving, local, tables)
-    return lax.platform_dependent(moving, local, tables, cpu=native, default=by_xla)
-
-
-def _sum_at_once(sample: Sample, count: int, local: Any, tables: Any) -> Terms:
-    """All terms of all samples in one reduction."""
-    terms = sample(jnp.arange(count), local, tables)
-    zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
-    return tuple(lax.reduce(terms, zeros, _add, (2,)))
-
-
-def _add(totals: Terms, more: Terms) -> Terms:
-    """Term by term."""
-    return tuple(a + b for a, b in zip(totals, more, strict=True))
-
-
-def _zero_sums(sample: Sample, local: Any, tables: Any) -> Terms:
-    """Sums of no samples."""
-    terms = jax.eval_shape(sample, jnp.arange(1), local, tables)
-    return tuple(jnp.zeros(term.shape[:2], term.dtype) for term in terms)
-
-
-def _sum_by_scan(sample: Sample, count: int, local: Any, tables: Any) -> Terms:
-    """The same sums, one sample after the other; transposes without keeping any sample."""
-
-    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
-        terms = jax.checkpoint(sample)(index[None], local, tables)
-        return _add(totals, tuple(term[..., 0] for term in terms)), None
-
-    return lax.scan(step, _zero_sums(sample, local, tables), jnp.arange(count))[0]
-
-
-def _tangent_leaves(tangents: Any) -> list[Any]:
-    """Leaves of a tangent tree, symbolic zeros included."""
-    return jax.tree.leaves(tangents, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero))
-
-
-def _active(tangents: Any) -> list[int]:
-    """Positions of the leaves that have a tangent."""
-    leaves = _tangent_leaves(tangents)
-    return [k for k, leaf in enumerate(leaves) if not isinstance(leaf, SymbolicZero)]
-
-
-def _replace(tree: Any, positions: list[int], values: list[jax.Array]) -> Any:
-    """The tree with the leaves at some positions replaced."""
-    leaves, structure = jax.tree.flatten(tree)
-    for position, value in zip(positions, values, strict=True):
-        leaves[position] = value
-    return jax.tree.unflatten(structure, leaves)
-
-
-def _with_derivatives(
-    sample: Sample, active: list[int], index: jax.Array, local: Any, tables: Any
-) -> Terms:
-    """The terms of a sample, then their derivatives with respect to each active local leaf."""
-    leaves = jax.tree.leaves(local)
-
-    def derivatives(position):
-        def of_leaf(leaf):
-            return sample(index, _replace(local, [position], [leaf]), tables)
-
-        return jax.jvp(of_leaf, (leaves[position],), (jnp.ones_like(leaves[position]),))[1]
-
-    terms = sample(index, local, tables)
-    return sum((derivatives(position) for position in active), start=terms)
-
-
-def _sum_samples_jvp(sample, count, backend, primals, tangents):
-    """Derivatives of the sums; only what has a tangent is differentiated.
-
-    A pixel's sums depend on its own local values only, so their derivatives are images: they are
-    summed in the same kernel as the sums, and then multiplied by whatever tangents come, which
-    transposes without a scatter. Tables are read anywhere: those go through the scan.
-    """
-    moving, local, tables = primals
-    tangents = tangents[1:]
-    active = _active(tangents[0])
-    if _active(tangents[1]):
-        positions, primals = _active(tangents), (local, tables)
-        leaves, directions = jax.tree.leaves(primals), _tangent_leaves(tangents)
-
-        def by_scan(values):
-            return _sum_by_scan(sample, count, *_replace(primals, positions, values))
-
-        values = [leaves[k] for k in positions]
-        change = jax.jvp(by_scan, (values,), ([directions[k] for k in positions],))[1]
-        return _sum_samples(sample, count, backend, moving, local, tables), change
-    augmented = functools.partial(_with_derivatives, sample, active)
-    sums = _sum_samples(augmented, count, backend, moving, local, tables)
-    size = len(sums) // (1 + len(active))
-    change = [jnp.zeros_like(total) for total in sums[:size]]
-    for block, position in enumerate(active, start=1):
-        tangent = _tangent_leaves(tangents[0])[position]
-        tangent = tangent[..., 0] if tangent.ndim == 3 else tangent
-        for term in range(size):
-            change[term] = change[term] + sums[block * size + term] * tangent
-    return tuple(sums[:size]), tuple(change)
-
-
-_sum_samples.defjvp(_sum_samples_jvp, symbolic_zeros=True)

@@ -8,7 +8,7 @@ import pytest
 from jax.scipy.ndimage import map_coordinates
 from jax.typing import DTypeLike
 
-from jaxblur import sampling
+from jaxblur import sample_sums, sampling
 from jaxblur.settings import Border
 
 
@@ -94,7 +94,7 @@ def test_sum_and_its_derivatives_equal_a_plain_sum(active):
 
     with jax.enable_x64(True):
         values = operands((3, 4))
-        ours = functools.partial(sampling.sum_samples, sample, count, jnp.ones((3, 4), bool))
+        ours = functools.partial(sample_sums.sum_samples, sample, count, jnp.ones((3, 4), bool))
 
         def derivatives(function):
             return (
@@ -115,7 +115,7 @@ def test_no_array_holds_all_samples(active):
     shape, count = (64, 64), 200
     values = operands(shape, np.float32)
     sample, moving = functools.partial(windowed_sine, 2.0), jnp.ones(shape, bool)
-    total = functools.partial(sampling.sum_samples, sample, count, moving)
+    total = functools.partial(sample_sums.sum_samples, sample, count, moving)
     loss = jax.grad(lambda *v: sum(map(jnp.sum, total(*v))), argnums=active)
     plane = 4 * shape[0] * shape[1]
     for function in (total, loss):
@@ -126,5 +126,5 @@ def test_no_array_holds_all_samples(active):
 def test_nothing_is_computed_where_nothing_moves():
     values = operands((3, 4), np.float32)
     sample, still = functools.partial(windowed_sine, 2.0), jnp.zeros((3, 4), bool)
-    for total in sampling.sum_samples(sample, 5, still, *values):
+    for total in sample_sums.sum_samples(sample, 5, still, *values):
         np.testing.assert_array_equal(total, 0)

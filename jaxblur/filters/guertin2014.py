@@ -10,12 +10,12 @@ from jax import lax
 from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
+from ..sample_sums import sum_samples
 from ..sampling import (
     color_planes,
     read_color,
     read_nearest,
     read_position,
-    sum_samples,
     tap_position,
 )
 from ..settings import Settings

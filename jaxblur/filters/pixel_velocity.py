@@ -7,7 +7,8 @@ import jax.numpy as jnp
 
 from ..frame import Frame, check_frame
 from ..noise import Noise, resolve_noise
-from ..sampling import color_planes, read_color, read_position, sum_samples, tap_position
+from ..sample_sums import sum_samples
+from ..sampling import color_planes, read_color, read_position, tap_position
 from ..settings import Settings
 from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR

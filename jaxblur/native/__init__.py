@@ -1,18 +1,92 @@
-"""The sum over samples as machine code, where a C++ compiler is at hand."""
+"""Sums over samples as machine code, where a C++ compiler is at hand."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from .build import BuildFailed, find_compiler, register
-from .emit import Kernel, Unsupported, emit_kernel
+from .emit import Kernel, emit_pull, emit_sum
+from .expressions import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 
-__all__ = ["BuildFailed", "Unsupported", "emit_kernel", "find_compiler", "native_sum"]
+__all__ = ["native_pull", "native_sum"]
+
+Sample = Callable[..., Any]
+
+
+def native_sum(
+    sample: Sample, count: int, size: tuple[int, int], operands: tuple[Any, Any], backend: str
+) -> Callable[..., tuple[jax.Array, ...]] | None:
+    """A function that sums the samples on the CPU in native code.
+
+    Args:
+        sample: see `jaxblur.sample_sums.sum_samples`.
+        count: number of samples N.
+        size: (H, W).
+        operands: (local, tables); only shapes and types are used here.
+        backend: ``auto``, ``native`` or ``xla``.
+
+    Returns:
+        A function of the moving pixels and the leaves of the operands, or None where XLA has to
+        do it.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    return _build(lambda: emit_sum(sample, count, size, *operands), size, backend)
+
+
+def native_pull(
+    sample: Sample,
+    count: int,
+    size: tuple[int, int],
+    operands: tuple[Any, Any],
+    active: Sequence[int],
+    terms: Sequence[Any],
+    backend: str,
+) -> Callable[..., tuple[jax.Array, ...]] | None:
+    """A function that carries derivatives of the sums back to what the samples read.
+
+    Args:
+        sample: as `native_sum`.
+        count: as `native_sum`.
+        size: as `native_sum`.
+        operands: as `native_sum`.
+        active: positions of the leaves that are differentiated.
+        terms: shapes and types of the sums.
+        backend: as `native_sum`.
+
+    Returns:
+        A function of the moving pixels, the leaves of the operands and one (H, W, 1) image a sum;
+        it returns a plane for each active plane or scalar, a table for each active table. None
+        where XLA has to do it.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    return _build(lambda: emit_pull(sample, count, size, operands, active, terms), size, backend)
+
+
+def _build(
+    emit: Callable[[], Kernel], size: tuple[int, int], backend: str
+) -> Callable[..., tuple[jax.Array, ...]] | None:
+    """Compile what `emit` writes."""
+    if backend == "xla":
+        return None
+    if find_compiler() is None:
+        return _refuse(backend, "there is no C++ compiler")
+    try:
+        kernel = emit()
+        target = register(kernel.source)
+    except Unsupported as error:
+        return _refuse(backend, f"the samples use {error}")
+    except BuildFailed as error:
+        return _refuse(backend, str(error))
+    return _caller(target, kernel, size)
 
 
 def _refuse(backend: str, reason: str) -> None:
@@ -22,51 +96,16 @@ def _refuse(backend: str, reason: str) -> None:
     LOG.info("no native kernel: %s", reason)
 
 
-def native_sum(
-    sample: Callable[..., Any],
-    count: int,
-    size: tuple[int, int],
-    local: Any,
-    tables: Any,
-    backend: str,
-) -> Callable[..., tuple[jax.Array, ...]] | None:
-    """A function (moving, local, tables) that sums the samples on the CPU in native code.
-
-    Args:
-        sample: see `jaxblur.sampling.sum_samples`.
-        count: number of samples N.
-        size: (H, W).
-        local: pytree of (H, W, 1) planes and scalars; only shapes and types are used here.
-        tables: pytree of (H * W,) arrays; only shapes and types are used here.
-        backend: ``auto``, ``native`` or ``xla``.
-
-    Returns:
-        The function, or None where XLA has to do it.
-
-    Raises:
-        ValueError: the backend is ``native`` and there is no compiler, or no native form.
-    """
-    if backend == "xla":
-        return None
-    if find_compiler() is None:
-        return _refuse(backend, "there is no C++ compiler")
-    try:
-        kernel = emit_kernel(sample, count, size, local, tables)
-        target = register(kernel.source)
-    except Unsupported as error:
-        return _refuse(backend, f"the samples use {error}")
-    except BuildFailed as error:
-        return _refuse(backend, str(error))
-    return _caller(target, kernel, size)
-
-
 def _caller(target: str, kernel: Kernel, size: tuple[int, int]) -> Callable[..., Any]:
     """The call into the kernel, one after the other under vmap."""
-    results = [jax.ShapeDtypeStruct(size, jnp.float32)] * kernel.outputs
+    # The kernel returns its sums first, then its tables.
+    order = sorted(range(len(kernel.adds)), key=lambda position: kernel.adds[position])
+    shapes = [(size[0] * size[1],) if kernel.adds[position] else size for position in order]
+    results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
     call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
 
-    def sums(moving: jax.Array, local: Any, tables: Any) -> tuple[jax.Array, ...]:
-        leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves((local, tables))]
-        return tuple(call(moving, *leaves))
+    def run(moving: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, ...]:
+        values = dict(zip(order, call(moving, *leaves), strict=True))
+        return tuple(values[position] for position in range(len(order)))
 
-    return sums
+    return run

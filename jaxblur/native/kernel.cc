@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #ifdef __AVX2__
 #include <immintrin.h>
@@ -17,14 +18,16 @@ enum {
   HEIGHT = @HEIGHT@,
   WIDTH = @WIDTH@,
   COUNT = @COUNT@,
-  OUTPUTS = @OUTPUTS@,
+  SUMS = @SUMS@,
+  TABLES = @TABLES@, /* results that taps add to anywhere */
 #ifdef __AVX512F__
   LANES = 16, /* pixels of a row that go through the samples together */
 #else
   LANES = 8,
 #endif
   ROWS_AT_ONCE = 4, /* rows that a thread takes at a time */
-  MOST_THREADS = 64
+  MOST_THREADS = 64,
+  MOST_THREADS_WITH_TABLES = 8 /* each has tables of its own */
 };
 
 /* One value a lane; a comparison gives -1 where it holds and 0 elsewhere. */
@@ -120,15 +123,23 @@ static inline void store(float* row, Floats values, int lanes) {
   }
 }
 
+/* Lanes may meet at one place, so they add in turn. */
+static inline void add(float* table, Ints index, Floats values, int lanes) {
+  for (int k = 0; k < lanes; ++k) table[index[k]] += values[k];
+}
+
 @CONSTANTS@
 struct Job {
   const uint8_t* moving;
   void* const* arguments;
-  float* outputs[OUTPUTS];
+  float* sums[SUMS + 1];
+  float* tables[TABLES + 1];
+  int threads;
   std::atomic<int> next_row;
 };
 
-static void sum_row(const Job* job, const int row) {
+static void sum_row(const Job* job, float* const* tables, const int row) {
+  (void)tables;
   const int64_t start = (int64_t)row * WIDTH;
   const Ints y = wide((int32_t)row);
   Ints lane_numbers;
@@ -139,7 +150,7 @@ static void sum_row(const Job* job, const int row) {
     const int64_t pixel = start + first;
     const Ints x = first + lane_numbers;
     (void)x, (void)y;
-    Floats sums[OUTPUTS] = {};
+    Floats sums[SUMS + 1] = {};
     int any = 0;
     for (int lane = 0; lane < lanes; ++lane) any |= job->moving[pixel + lane];
     if (any) {
@@ -149,18 +160,29 @@ static void sum_row(const Job* job, const int row) {
 @TAP@
       }
     }
-    for (int k = 0; k < OUTPUTS; ++k) store(job->outputs[k] + pixel, sums[k], lanes);
+    for (int k = 0; k < SUMS; ++k) store(job->sums[k] + pixel, sums[k], lanes);
   }
 }
 
+/* What one thread does. Taps add to a table of the thread's own, and to the same rows in every
+   run, so that the same input gives the same bits. */
+struct Share {
+  Job* job;
+  int number;
+  float* tables[TABLES + 1];
+};
+
 static void* work(void* argument) {
-  Job* job = static_cast<Job*>(argument);
-  for (;;) {
-    const int start = job->next_row.fetch_add(ROWS_AT_ONCE);
-    if (start >= HEIGHT) return 0;
+  Share* share = static_cast<Share*>(argument);
+  Job* job = share->job;
+  const int step = job->threads * ROWS_AT_ONCE;
+  int start = TABLES ? share->number * ROWS_AT_ONCE : job->next_row.fetch_add(ROWS_AT_ONCE);
+  while (start < HEIGHT) {
     const int end = start + ROWS_AT_ONCE < HEIGHT ? start + ROWS_AT_ONCE : HEIGHT;
-    for (int y = start; y < end; ++y) sum_row(job, y);
+    for (int row = start; row < end; ++row) sum_row(job, share->tables, row);
+    start = TABLES ? start + step : job->next_row.fetch_add(ROWS_AT_ONCE);
   }
+  return nullptr;
 }
 
 static int count_threads(void) {
@@ -172,16 +194,58 @@ static int count_threads(void) {
 #endif
   const int useful = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
   const int least = count < useful ? count : useful;
-  return least < MOST_THREADS ? least : MOST_THREADS;
+  const int most = TABLES ? MOST_THREADS_WITH_TABLES : MOST_THREADS;
+  return least < most ? least : most;
 }
 
-static void run(Job* job) {
+/* Tables of every thread but the first, which has the result's own. Calloc hands out pages that
+   cost nothing until a tap touches them. */
+static bool make_tables(Job* job, Share* shares) {
+  const int64_t pixels = (int64_t)HEIGHT * WIDTH;
+  bool enough = true;
+  for (int t = 0; t < job->threads; ++t) {
+    shares[t] = {job, t, {}};
+    for (int k = 0; k < TABLES; ++k) {
+      shares[t].tables[k] = t ? (float*)calloc(pixels, sizeof(float)) : job->tables[k];
+      enough = enough && shares[t].tables[k];
+    }
+  }
+  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, pixels * sizeof(float));
+  return enough;
+}
+
+static void join_tables(Job* job, Share* shares, bool enough) {
+  for (int t = 1; t < job->threads; ++t) {
+    for (int k = 0; k < TABLES; ++k) {
+      const float* part = shares[t].tables[k];
+      for (int64_t p = 0; enough && p < (int64_t)HEIGHT * WIDTH; ++p) job->tables[k][p] += part[p];
+      free(shares[t].tables[k]);
+    }
+  }
+}
+
+static bool run(Job* job) {
+  Share shares[MOST_THREADS];
   pthread_t threads[MOST_THREADS];
-  const int wanted = count_threads() - 1;
-  int started = 0;
-  while (started < wanted && pthread_create(&threads[started], 0, work, job) == 0) ++started;
-  work(job);
-  for (int k = 0; k < started; ++k) pthread_join(threads[k], 0);
+  bool started[MOST_THREADS] = {};
+  job->threads = count_threads();
+  const bool enough = make_tables(job, shares);
+  for (int t = 1; enough && t < job->threads; ++t)
+    started[t] = pthread_create(&threads[t], nullptr, work, &shares[t]) == 0;
+  for (int t = 0; enough && t < job->threads; ++t) {
+    if (started[t]) pthread_join(threads[t], nullptr);
+    else work(&shares[t]);
+  }
+  join_tables(job, shares, enough);
+  return enough;
+}
+
+static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
+  XLA_FFI_Error_Create_Args arguments = {};
+  arguments.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
+  arguments.message = "no memory for the derivatives of the sum over samples";
+  arguments.errc = XLA_FFI_Error_Code_RESOURCE_EXHAUSTED;
+  return api->XLA_FFI_Error_Create(&arguments);
 }
 
 extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
@@ -190,7 +254,7 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
     XLA_FFI_Metadata* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
     metadata->api_version.major_version = XLA_FFI_API_MAJOR;
     metadata->api_version.minor_version = XLA_FFI_API_MINOR;
-    return 0;
+    return nullptr;
   }
   void* arguments[@ARGUMENT_COUNT@];
   for (int k = 0; k < @ARGUMENT_COUNT@; ++k)
@@ -199,8 +263,9 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   job.moving = (const uint8_t*)arguments[0];
   job.arguments = arguments;
   job.next_row = 0;
-  for (int k = 0; k < OUTPUTS; ++k)
-    job.outputs[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
-  run(&job);
-  return 0;
+  for (int k = 0; k < SUMS; ++k)
+    job.sums[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
+  for (int k = 0; k < TABLES; ++k)
+    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[SUMS + k])->data;
+  return run(&job) ? nullptr : out_of_memory(frame->api);
 }

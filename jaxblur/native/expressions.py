@@ -1,0 +1,349 @@
+"""The C++ form of a jaxpr of elementwise operations, reads of tables and additions to tables."""
+
+import dataclasses
+import enum
+import functools
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend import core
+
+_SCALARS = {"float32": "float", "int32": "int32_t", "bool": "bool"}
+_VECTORS = {"float32": "Floats", "int32": "Ints", "bool": "Ints"}
+_BUFFERS = {"float32": "float", "int32": "int32_t", "bool": "uint8_t"}
+_LOADS = {
+    "float32": "load_floats({}, lanes)",
+    "int32": "load<Ints>({}, lanes)",
+    "bool": "(load<Ints>({}, lanes) != 0)",
+}
+
+
+class Unsupported(Exception):
+    """The sample uses something that has no form in C++ here."""
+
+
+class Level(enum.IntEnum):
+    """What a value depends on: nothing, the sample's number, the pixel, or both."""
+
+    UNIFORM = 0
+    SAMPLE = 1
+    PIXEL = 2
+    TAP = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Value:
+    """An expression in C++.
+
+    Attributes:
+        code: the expression, or the name of a variable.
+        dtype: name of the array type.
+        level: where it is computed.
+        table: whether it is an array that samples read at other pixels.
+        number: what it is, where that is known.
+        additions: (index, value) pairs, where it is a table that taps add to.
+    """
+
+    code: str
+    dtype: str
+    level: Level = Level.UNIFORM
+    table: bool = False
+    number: Any = None
+    additions: "tuple[tuple[Value, Value], ...]" = ()
+
+    @property
+    def ordered(self) -> bool:
+        """Whether it is known not to be NaN."""
+        return self.number is not None and not np.isnan(self.number)
+
+    @property
+    def wide(self) -> bool:
+        """Whether there is one value a lane."""
+        return self.level >= Level.PIXEL
+
+
+def _operator(symbol: str) -> Callable[..., str]:
+    return lambda _, a, b: f"({a.code} {symbol} {b.code})"
+
+
+def _function(name: str) -> Callable[..., str]:
+    return lambda _, *values: f"{name}({', '.join(value.code for value in values)})"
+
+
+def _extreme(name: str, symbol: str) -> Callable[..., str]:
+    """Maximum or minimum; with a literal first one comparison keeps a NaN."""
+
+    def write(_, a: Value, b: Value) -> str:
+        if a.dtype != "float32":
+            return f"{name}_int({a.code}, {b.code})"
+        if a.ordered:
+            return f"({a.code} {symbol} {b.code} ? {a.code} : {b.code})"
+        if b.ordered:
+            return f"({b.code} {symbol} {a.code} ? {b.code} : {a.code})"
+        return f"{name}_float({a.code}, {b.code})"
+
+    return write
+
+
+def _clamp(parameters: Any, low: Value, value: Value, high: Value) -> str:
+    raised = dataclasses.replace(value, code=_extreme("max", ">")(parameters, low, value))
+    return _extreme("min", "<")(parameters, raised, high)
+
+
+def _widened(value: Value, level: Level) -> Value:
+    """The value with one copy a lane, if the result has one a lane."""
+    if value.wide or value.table or level < Level.PIXEL:
+        return value
+    return dataclasses.replace(value, code=f"wide({value.code})")
+
+
+def _select(_, which: Value, *cases: Value) -> str:
+    if which.dtype != "bool" or len(cases) != 2:
+        raise Unsupported("select_n of an integer")
+    return f"({which.code} ? {cases[1].code} : {cases[0].code})"
+
+
+def _power(parameters: Any, value: Value) -> str:
+    exponent = parameters["y"]
+    if not 1 <= abs(exponent) <= 8:
+        raise Unsupported(f"integer_pow with exponent {exponent}")
+    product = "(" + " * ".join([value.code] * abs(exponent)) + ")"
+    return product if exponent > 0 else f"(1.0f / {product})"
+
+
+def _convert(parameters: Any, value: Value) -> str:
+    dtype = np.dtype(parameters["new_dtype"]).name
+    if dtype == "bool":
+        return f"({value.code} != 0)"
+    kind = _c_type(dtype, value.wide)
+    if not value.wide:
+        return f"{kind}({value.code})"
+    integer = f"(-{value.code})" if value.dtype == "bool" else value.code
+    if kind == "Ints":
+        return f"to_ints({value.code})" if value.dtype == "float32" else integer
+    return value.code if value.dtype == "float32" else f"to_floats({integer})"
+
+
+def _remainder(_, a: Value, b: Value) -> str:
+    return f"fmodf({a.code}, {b.code})" if a.dtype == "float32" else f"({a.code} % {b.code})"
+
+
+def _absolute(_, a: Value) -> str:
+    return f"fabsf({a.code})" if a.dtype == "float32" else f"max_int({a.code}, -{a.code})"
+
+
+def _negation(_, a: Value) -> str:
+    return f"(!{a.code})" if a.dtype == "bool" and not a.wide else f"(~{a.code})"
+
+
+def _same(_, value: Value, *_more: Value) -> str:
+    return value.code
+
+
+OPERATIONS: dict[str, Callable[..., str]] = {
+    "abs": _absolute,
+    "add": _operator("+"),
+    "add_any": _operator("+"),
+    "and": _operator("&"),
+    "broadcast_in_dim": _same,
+    "ceil": _function("ceilf"),
+    "clamp": _clamp,
+    "convert_element_type": _convert,
+    "copy": _same,
+    "cos": _function("cosf"),
+    "div": _operator("/"),
+    "eq": _operator("=="),
+    "exp": _function("expf"),
+    "expand_dims": _same,
+    "floor": _function("floorf"),
+    "ge": _operator(">="),
+    "gt": _operator(">"),
+    "integer_pow": _power,
+    "le": _operator("<="),
+    "log": _function("logf"),
+    "log1p": _function("log1pf"),
+    "lt": _operator("<"),
+    "max": _extreme("max", ">"),
+    "min": _extreme("min", "<"),
+    "mul": _operator("*"),
+    "ne": _operator("!="),
+    "neg": lambda _, a: f"(-{a.code})",
+    "not": _negation,
+    "or": _operator("|"),
+    "pow": _function("powf"),
+    "rem": _remainder,
+    "reshape": _same,
+    "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
+    "select_n": _select,
+    "sign": _function("sign_float"),
+    "sin": _function("sinf"),
+    "sqrt": _function("sqrtf"),
+    "square": lambda _, a: f"({a.code} * {a.code})",
+    "squeeze": _same,
+    "stop_gradient": _same,
+    "sub": _operator("-"),
+    "tanh": _function("tanhf"),
+}
+_INNER = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2")
+
+
+def _c_type(dtype: Any, wide: bool) -> str:
+    kinds = _VECTORS if wide else _SCALARS
+    try:
+        return kinds[np.dtype(dtype).name]
+    except KeyError:
+        raise Unsupported(f"values of type {np.dtype(dtype).name}") from None
+
+
+def _literal(number: Any) -> Value:
+    """A constant, its float digits kept exactly."""
+    array = np.asarray(number)
+    dtype = array.dtype.name
+    if dtype == "bool":
+        return Value("true" if array else "false", dtype, number=array)
+    if np.issubdtype(array.dtype, np.integer):
+        return Value(f"int32_t({int(array)})", "int32", number=array)
+    if dtype != "float32":
+        raise Unsupported(f"constants of type {dtype}")
+    code = float(array).hex() if np.isfinite(array) else "NAN"
+    if np.isinf(array):
+        code = "INFINITY" if array > 0 else "-INFINITY"
+    return Value(f"float({code})", dtype, number=array)
+
+
+def _is_flat(equation: Any) -> bool:
+    """Whether a read or an addition is that of one element of a flat table, known to be inside."""
+    promised = equation.params["mode"] == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
+    return promised and equation.invars[0].aval.ndim == 1
+
+
+def _addition(equation: Any, table: Value, index: Value, value: Value) -> Value:
+    """What a tap adds to a table of zeros."""
+    if not _is_flat(equation) or table.number is None or table.number != 0 or not index.wide:
+        raise Unsupported("a scatter other than into a flat table of zeros at promised indices")
+    return Value("", value.dtype, additions=((index, _widened(value, Level.TAP)),))
+
+
+def _merged(first: Value, second: Value) -> Value:
+    """The sum of two tables that taps add to."""
+    for value in (first, second):
+        if not value.additions and (value.number is None or value.number != 0):
+            raise Unsupported("a sum of a table and a plane")
+    return dataclasses.replace(first, additions=first.additions + second.additions)
+
+
+class Writer:
+    """Collects the statements of each level while walking through a jaxpr."""
+
+    def __init__(self) -> None:
+        self.statements: dict[Level, list[str]] = {level: [] for level in Level}
+        self.constants: list[str] = []
+        self._names = 0
+
+    def _name(self) -> str:
+        self._names += 1
+        return f"v{self._names}"
+
+    def define(self, code: str, dtype: Any, level: Level) -> Value:
+        """A variable for an expression, beside the others of its level."""
+        dtype, name = np.dtype(dtype).name, self._name()
+        kind = _c_type(dtype, level >= Level.PIXEL)
+        self.statements[level].append(f"const {kind} {name} = {code};")
+        return Value(name, dtype, level)
+
+    def constant(self, value: Any) -> Value:
+        """A closed-over array: a number, or one number a sample."""
+        array = np.asarray(value)
+        if array.size == 1:
+            return _literal(array.reshape(()))
+        if array.ndim == 0 or array.shape[-1] != array.size:
+            raise Unsupported(f"a constant of shape {array.shape}")
+        name, kind = self._name(), _c_type(array.dtype, wide=False)
+        numbers = ", ".join(_literal(number).code for number in array.reshape(-1))
+        self.constants.append(f"static const {kind} {name}[] = {{{numbers}}};")
+        return Value(f"{name}[i]", array.dtype.name, Level.SAMPLE)
+
+    def walk(self, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Value]) -> list[Value]:
+        """Write the statements of a jaxpr.
+
+        Raises:
+            Unsupported: an operation has no form in C++.
+        """
+        values: dict[Any, Value] = {}
+        values.update(zip(jaxpr.constvars, map(self.constant, constants), strict=True))
+        values.update(zip(jaxpr.invars, inputs, strict=True))
+
+        def read(atom: Any) -> Value:
+            return _literal(atom.val) if isinstance(atom, core.Literal) else values[atom]
+
+        for equation in jaxpr.eqns:
+            results = self._equation(equation, [read(atom) for atom in equation.invars])
+            values.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _equation(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        name, parameters = equation.primitive.name, equation.params
+        if name in _INNER:
+            inner = parameters.get("jaxpr") or parameters.get("call_jaxpr")
+            if isinstance(inner, core.ClosedJaxpr):
+                return self.walk(inner.jaxpr, inner.consts, inputs)
+            return self.walk(inner, (), inputs)
+        if name == "gather":
+            return [self._read(equation, *inputs)]
+        if name == "scatter-add":
+            return [_addition(equation, *inputs)]
+        if name in ("add", "add_any") and any(value.additions for value in inputs):
+            return [_merged(*inputs)]
+        if name == "iota":
+            return [self._position(parameters)]
+        dtype = equation.outvars[0].aval.dtype
+        if name == "convert_element_type" and inputs[0].number is not None:
+            return [_literal(inputs[0].number.astype(dtype))]
+        return [self._operation(name, parameters, inputs, dtype)]
+
+    def _operation(self, name: str, parameters: Any, inputs: list[Value], dtype: Any) -> Value:
+        """An elementwise operation."""
+        if name not in OPERATIONS:
+            raise Unsupported(f"the operation {name}")
+        if any(value.table or value.additions for value in inputs):
+            raise Unsupported(f"{name} of a whole table")
+        if name == "div" and inputs[0].dtype != "float32":
+            raise Unsupported("div of integers")
+        level = Level(functools.reduce(operator.or_, (value.level for value in inputs), 0))
+        code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
+        if code == inputs[0].code:
+            return inputs[0]
+        return self.define(code, dtype, level)
+
+    def _read(self, equation: Any, table: Value, index: Value) -> Value:
+        """A read of a flat table at one index a tap, known to lie inside."""
+        if not (table.table and _is_flat(equation) and equation.params["slice_sizes"] == (1,)):
+            raise Unsupported("a gather other than of a flat table at promised indices")
+        if table.dtype != "float32" or not index.wide:
+            raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
+        return self.define(f"read({table.code}, {index.code})", table.dtype, index.level)
+
+    def _position(self, parameters: Any) -> Value:
+        """Number of the sample, row, or column."""
+        rank, axis = len(parameters["shape"]), parameters["dimension"]
+        if rank not in (1, 3):
+            raise Unsupported(f"an iota of rank {rank}")
+        names = ("y", "x", "i") if rank == 3 else ("i",)
+        levels = (Level.PIXEL, Level.PIXEL, Level.SAMPLE) if rank == 3 else (Level.SAMPLE,)
+        return self.define(names[axis], parameters["dtype"], levels[axis])
+
+    def argument(self, position: int, leaf: Any, table: bool) -> tuple[str, Value]:
+        """Declaration of an operand, and the value that the sample sees."""
+        dtype = np.dtype(leaf.dtype).name
+        if dtype not in _BUFFERS:
+            raise Unsupported(f"operands of type {dtype}")
+        name = f"argument{position}"
+        declaration = f"const auto {name} = (const {_BUFFERS[dtype]}*)job->arguments[{position}];"
+        if table:
+            return declaration, Value(name, dtype, table=True)
+        if leaf.ndim == 0:
+            return declaration, Value(f"{name}[0]", dtype)
+        return declaration, self.define(_LOADS[dtype].format(f"{name} + pixel"), dtype, Level.PIXEL)

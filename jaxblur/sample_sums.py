@@ -1,0 +1,296 @@
+"""The sum over the samples of every pixel, and its derivatives.
+
+A sample is an elementwise function written for a trailing sample axis. On a CPU with a C++
+compiler it becomes a native kernel (`jaxblur.native`); elsewhere all of its terms are summed by
+one variadic reduction over that minor axis, which XLA fuses with the reads. Either way nothing of
+shape (H, W, N) exists in memory.
+
+A pixel's sums depend on its own local values only, so derivatives with respect to those are
+images, summed in the same kernel. Tables are read anywhere: their derivatives are a linear
+operator of its own, `_push`, whose transpose is native code again, or a scan over the samples with
+rematerialisation.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.core import ShapedArray
+from jax.custom_derivatives import SymbolicZero
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from .native import native_pull, native_sum
+from .settings import Backend
+
+Terms = tuple[jax.Array, ...]
+Sample = Callable[[jax.Array, Any, Any], Terms]
+
+
+def sum_samples(
+    sample: Sample, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
+) -> Terms:
+    """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
+
+    Args:
+        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays;
+            elementwise but for reads of the tables. Part of the compilation key.
+        count: number of samples N.
+        moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and mean
+            nothing.
+        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
+        tables: pytree of (H * W,) arrays that samples read at other pixels.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
+        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    leaves, structure = jax.tree.flatten((local, tables))
+    plan = _Plan(sample, count, backend, structure)
+    return _sum(plan, moving, [jnp.asarray(leaf) for leaf in leaves])
+
+
+class _Plan(NamedTuple):
+    """What is fixed when a sum is traced."""
+
+    sample: Sample
+    count: int
+    backend: Backend
+    structure: Any
+
+    def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
+        """The terms of the samples of these numbers."""
+        return self.sample(index, *self.operands(leaves))
+
+    def operands(self, leaves: Sequence[Any]) -> tuple[Any, Any]:
+        """Leaves as (local, tables)."""
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _sum(plan: _Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+    """The sums, without derivatives."""
+    by_xla = functools.partial(_sum_by_xla, plan)
+    operands = plan.operands(leaves)
+    native = native_sum(plan.sample, plan.count, _size(moving), operands, plan.backend)
+    if native is None:
+        return by_xla(moving, *leaves)
+    return lax.platform_dependent(moving, *leaves, cpu=native, default=by_xla)
+
+
+def _sum_by_xla(plan: _Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
+    """All terms of all samples in one reduction; nothing at all if no pixel moves.
+
+    The conditional also keeps XLA from fusing what is computed once per pixel into the kernel,
+    where it would be computed again at every tap that reads it.
+    """
+
+    def sums(*leaves: jax.Array) -> Terms:
+        terms = plan.terms(jnp.arange(plan.count), leaves)
+        zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
+        return tuple(lax.reduce(terms, zeros, _add, (2,)))
+
+    return lax.cond(jnp.any(moving), sums, lambda *leaves: _zero_sums(plan, leaves), *leaves)
+
+
+def _size(moving: jax.Array) -> tuple[int, int]:
+    """(H, W)."""
+    height, width = moving.shape
+    return height, width
+
+
+def _add(totals: Terms, more: Terms) -> Terms:
+    """Term by term."""
+    return tuple(a + b for a, b in zip(totals, more, strict=True))
+
+
+def _shapes(plan: _Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes and types of the sums."""
+    terms = jax.eval_shape(plan.terms, jax.ShapeDtypeStruct((1,), jnp.int32), leaves)
+    return [jax.ShapeDtypeStruct(term.shape[:2], term.dtype) for term in terms]
+
+
+def _zero_sums(plan: _Plan, leaves: Sequence[jax.Array]) -> Terms:
+    """Sums of no samples."""
+    return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan, leaves))
+
+
+def _sum_by_scan(plan: _Plan, leaves: Sequence[jax.Array]) -> Terms:
+    """The same sums, one sample after the other; transposes without keeping any sample."""
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        terms = jax.checkpoint(plan.terms)(index[None], leaves)
+        return _add(totals, tuple(term[..., 0] for term in terms)), None
+
+    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.count))[0]
+
+
+def _replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
+    """The leaves, some of them replaced."""
+    replaced = list(leaves)
+    for position, value in zip(positions, values, strict=True):
+        replaced[position] = value
+    return replaced
+
+
+def _sum_jvp(plan, primals, tangents):
+    """Derivatives of the sums; only what has a tangent is differentiated."""
+    (moving, leaves), tangents = primals, tangents[1]
+    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    directions = [tangents[k] for k in active]
+    tables = len(leaves) - len(jax.tree.leaves(plan.operands(leaves)[1]))
+    if not active or active[-1] < tables:
+        return _local_derivatives(plan, moving, leaves, active, directions)
+    change = _push.bind(moving, *leaves, *directions, plan=plan, active=tuple(active))
+    return _sum(plan, moving, leaves), tuple(change)
+
+
+_sum.defjvp(_sum_jvp, symbolic_zeros=True)
+
+
+def _with_derivatives(
+    plan: _Plan, active: Sequence[int], index: jax.Array, local: Any, tables: Any
+) -> Terms:
+    """The terms of a sample, then their derivatives with respect to each active local leaf."""
+    leaves = jax.tree.leaves((local, tables))
+
+    def derivatives(position):
+        def of_leaf(leaf):
+            return plan.terms(index, _replaced(leaves, [position], [leaf]))
+
+        return jax.jvp(of_leaf, (leaves[position],), (jnp.ones_like(leaves[position]),))[1]
+
+    terms = plan.terms(index, leaves)
+    return sum((derivatives(position) for position in active), start=terms)
+
+
+def _local_derivatives(plan, moving, leaves, active, directions):
+    """The sums and their change, from one kernel that sums terms and derivatives."""
+    augmented = plan._replace(sample=functools.partial(_with_derivatives, plan, active))
+    sums = _sum(augmented, moving, leaves)
+    size = len(sums) // (1 + len(active))
+    change = [jnp.zeros_like(total) for total in sums[:size]]
+    for block, tangent in enumerate(directions, start=1):
+        tangent = tangent[..., 0] if tangent.ndim == 3 else tangent
+        for term in range(size):
+            change[term] = change[term] + sums[block * size + term] * tangent
+    return tuple(sums[:size]), tuple(change)
+
+
+def _pushed(plan: _Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
+    """Change of the sums as the active leaves change, sample after sample."""
+
+    def sums(values):
+        return _sum_by_scan(plan, _replaced(leaves, active, values))
+
+    return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _pull(plan: _Plan, active: tuple[int, ...], moving: Any, leaves: Any, images: Any) -> Any:
+    """The transpose of `_pushed`: from images to the active leaves."""
+
+    def by_xla(_, *operands: jax.Array) -> tuple[jax.Array, ...]:
+        return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
+
+    native = native_pull(
+        *(plan.sample, plan.count, _size(moving), plan.operands(leaves), active),
+        *(_shapes(plan, leaves), plan.backend),
+    )
+    if native is None:
+        return by_xla(moving, *leaves, *images)
+
+    def by_kernel(moving: jax.Array, *operands: jax.Array) -> tuple[jax.Array, ...]:
+        images = [image[..., None] for image in operands[len(leaves) :]]
+        values = native(moving, *operands[: len(leaves)], *images)
+        return tuple(
+            jnp.sum(value) if leaves[k].ndim == 0 else value.reshape(leaves[k].shape)
+            for k, value in zip(active, values, strict=True)
+        )
+
+    return lax.platform_dependent(moving, *leaves, *images, cpu=by_kernel, default=by_xla)
+
+
+def _pulled_by_scan(plan: _Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
+    """The same by reverse mode over the scan."""
+
+    def sums(*values):
+        return _sum_by_scan(plan, _replaced(leaves, active, values))
+
+    return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
+
+
+def _pull_jvp(plan, active, primals, tangents):
+    """Second derivatives go through the scan."""
+    moving, *rest = primals
+    change = jax.jvp(functools.partial(_pulled_by_scan, plan, active), tuple(rest), tangents[1:])[1]
+    return _pull(plan, active, moving, *rest), change
+
+
+_pull.defjvp(_pull_jvp)
+
+
+# `_pushed` as an operator that JAX knows to be linear in its directions.
+_push = Primitive("push_samples")
+_push.multiple_results = True
+
+
+def _split(operands: Sequence[Any], active: tuple[int, ...]) -> tuple[Any, list[Any], list[Any]]:
+    """Operands of the operator as (moving, leaves, directions)."""
+    return operands[0], list(operands[1 : -len(active)]), list(operands[-len(active) :])
+
+
+def _push_by_scan(*operands, plan, active):
+    """`_pushed` of flat operands."""
+    _, leaves, directions = _split(operands, active)
+    return _pushed(plan, active, leaves, directions)
+
+
+def _push_shapes(*operands, plan, active):
+    """Shapes and types of the change, those of the sums."""
+    _, leaves, _ = _split(operands, active)
+    leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
+    return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan, leaves)]
+
+
+def _push_transpose(images, *operands, plan, active):
+    """Reverse mode."""
+    moving, leaves, _ = _split(operands, active)
+    images = [ad.instantiate_zeros(image) for image in images]
+    return [None] * (1 + len(leaves)) + list(_pull(plan, active, moving, leaves, images))
+
+
+def _push_jvp(primals, tangents, *, plan, active):
+    """Derivatives of the derivatives."""
+    moving, *rest = primals
+    tangents = [ad.instantiate_zeros(tangent) for tangent in tangents[1:]]
+    by_scan = functools.partial(_push_by_scan, moving, plan=plan, active=active)
+    change = jax.jvp(by_scan, tuple(rest), tuple(tangents))[1]
+    return _push.bind(*primals, plan=plan, active=active), change
+
+
+def _push_batched(operands, axes, *, plan, active):
+    """One element of the batch after the other: memory stays that of one."""
+    mapped = [k for k, axis in enumerate(axes) if axis is not None]
+    moved = [jnp.moveaxis(operands[k], axes[k], 0) for k in mapped]
+
+    def one(values):
+        return _push.bind(*_replaced(operands, mapped, values), plan=plan, active=active)
+
+    results = lax.map(one, moved)
+    return results, [0] * len(results)
+
+
+_push.def_impl(_push_by_scan)
+_push.def_abstract_eval(_push_shapes)
+mlir.register_lowering(_push, mlir.lower_fun(_push_by_scan, multiple_results=True))
+ad.primitive_transposes[_push] = _push_transpose
+ad.primitive_jvps[_push] = _push_jvp
+batching.primitive_batchers[_push] = _push_batched
