@@ -269,6 +269,12 @@ def test_what_cannot_be_drawn_is_refused(draw, message):
         draw()
 
 
+def test_sliders_without_a_kernel_draw_once_at_their_start():
+    assert show.sliders(lambda a, b: (a, b), a=(0.0, 2.0, 1.0), b=(1.0, 500.0, 40.0)) == (1, 40)
+    with pytest.raises(ValueError, match="`a` must start between 0 and 2, got 3"):
+        show.sliders(lambda a: a, a=(0.0, 2.0, 3.0))
+
+
 def test_axes_are_drawn_into():
     figure = show.new_figure(6, 3)
     axes = figure.subplots(1, 2)

@@ -21,6 +21,7 @@ from .comparison import (
 from .curves import bars as bars, curves as curves
 from .figures import new_figure as new_figure
 from .pareto import Measurement as Measurement, pareto as pareto, pareto_front as pareto_front
+from .sliders import sliders as sliders
 from .tiles import (
     tap_diagram as tap_diagram,
     texel_weights as texel_weights,
