@@ -18,7 +18,7 @@ from .console import one_line
 from .errors import is_foreseeable, message_of
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, fit, info, vectors, report, demo, scene)
+COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench)
 
 USAGE = 2
 INTERRUPTED = 130
