@@ -130,10 +130,10 @@ def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
     (along_x, along_y), (center_x, center_y) = directions(xp, x, y, speed, dominant, gamma)
     across = xp.abs(center_x * along_x + center_y * along_y)
     planes = [p.reshape(-1) for p in (x * inverse, y * inverse, inverse, depth)]
-    colors = inputs.color.reshape(-1, 3)
+    colors = [xp.ascontiguousarray(inputs.color[..., k]).reshape(-1) for k in range(3)]
     row, column = xp.arange(height)[:, None], xp.arange(width)[None, :]
-    total, summed = xp.zeros_like(depth), xp.zeros_like(inputs.color)
-    counted = xp.zeros_like(depth)
+    total, counted = xp.zeros_like(depth), xp.zeros_like(depth)
+    summed = [xp.zeros_like(depth) for _ in colors]
     for sample in range(samples):
         second = sample % 2 == 1
         along = center_x if second else along_x, center_y if second else along_y
@@ -142,7 +142,7 @@ def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
         py = row + xp.asarray(xp.floor(t * along[1] + 0.5), dtype=xp.int64)
         inside = (px >= 0) & (px < width) & (py >= 0) & (py < height)
         index = xp.clip(py, 0, height - 1) * width + xp.clip(px, 0, width - 1)
-        vx, vy, inverse_sample, there = (plane[index] for plane in planes)
+        vx, vy, inverse_sample, there = (xp.take(plane, index) for plane in planes)
         own = xp.ones_like(across) if second else across
         w = weight(
             xp,
@@ -152,11 +152,13 @@ def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
             sharpness * (there - depth) / xp.minimum(there, depth),
         )
         w = xp.where(inside, w, 0)
-        summed += w[..., None] * colors[index]
+        for channel, color in zip(summed, colors, strict=True):
+            channel += w * xp.take(color, index)
         total += w
         counted += inside
     center = counted * inverse / kappa
-    blurred = (summed + center[..., None] * inputs.color) / (total + center)[..., None]
+    blurred = xp.stack(summed, -1) + center[..., None] * inputs.color
+    blurred = blurred / (total + center)[..., None]
     return xp.where((reach <= 0.5)[..., None], inputs.color, blurred)
 
 

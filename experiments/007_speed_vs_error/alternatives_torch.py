@@ -22,6 +22,11 @@ class _Torch:
     take_along_axis = staticmethod(torch.take_along_dim)
 
     @staticmethod
+    def ascontiguousarray(tensor: torch.Tensor) -> torch.Tensor:
+        """The tensor, copied if it is not in row-major order."""
+        return tensor.contiguous()
+
+    @staticmethod
     def zeros(shape: Any, dtype: Any) -> torch.Tensor:
         """A tensor of zeros, with `bool` meaning `torch.bool`."""
         return torch.zeros(shape, dtype=torch.bool if dtype is bool else dtype)

@@ -16,7 +16,8 @@ from .cases import (
 from .compare import Change as Change, compare as compare
 from .frames import moving_frame as moving_frame
 from .jobs import batches as batches, catalogue_jobs as catalogue_jobs
-from .measure import Programs as Programs, measure as measure
+from .measure import measure as measure
+from .programs import Programs as Programs
 from .report import (
     by_scene as by_scene,
     front as front,

@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ..filters import FILTERS, PUBLISHED
+from ..filters import PUBLISHED
 from ..settings import Settings
 
 UNBLURRED = "unblurred"
@@ -20,7 +20,8 @@ class Case:
     """A method with its settings.
 
     Attributes:
-        method: a key of `jaxblur.FILTERS`, one of `RENDERERS`, or `UNBLURRED`.
+        method: a key of `jaxblur.FILTERS`, one of `RENDERERS`, `UNBLURRED`, or another method that
+            `measure` is given.
         settings: of the run; for renderers only the number of samples matters.
         auto_radius: take the radius from the frame, and not from the settings.
     """
@@ -29,20 +30,17 @@ class Case:
     settings: Settings = Settings()
     auto_radius: bool = False
 
-    def __post_init__(self):
-        if self.method not in (*FILTERS, *RENDERERS, UNBLURRED):
-            known = ", ".join((*FILTERS, *RENDERERS, UNBLURRED))
-            raise ValueError(f"`method` must be one of {known}, got {self.method!r}.")
-
     @property
-    def is_filter(self) -> bool:
-        """Whether a filter makes the image."""
-        return self.method in FILTERS
+    def has_settings(self) -> bool:
+        """Whether all settings matter to the method, as they do to a filter."""
+        return self.method not in (*RENDERERS, UNBLURRED)
 
     @property
     def is_published(self) -> bool:
         """Whether these are the settings that the authors of the filter published."""
-        return self.is_filter and not self.auto_radius and self.settings == published(self.method)
+        if self.method not in PUBLISHED or self.auto_radius:
+            return False
+        return self.settings == published(self.method)
 
     @property
     def label(self) -> str:
@@ -50,7 +48,7 @@ class Case:
         if self.method == UNBLURRED:
             return self.method
         words = [f"{self.method} N={self.settings.samples}"]
-        if self.is_filter:
+        if self.has_settings:
             usual = published(self.method)
             differing = {
                 field.name: value
@@ -69,10 +67,10 @@ def published(method: str) -> Settings:
     """The settings that a filter was published with.
 
     Args:
-        method: a key of `jaxblur.FILTERS`.
+        method: as in `Case`.
 
     Returns:
-        The settings; the defaults for a filter that was not published anywhere.
+        The settings; the defaults for what was not published anywhere.
     """
     return PUBLISHED[method][1] if method in PUBLISHED else Settings()
 
@@ -104,8 +102,8 @@ def product(methods: Iterable[str], axes: Axes) -> list[Case]:
     """Every method with every combination of the values.
 
     Args:
-        methods: as in `Case`; those without settings join once, renderers once for each number
-            of samples.
+        methods: as in `Case`; the unblurred frame joins once, renderers once for each number of
+            samples.
         axes: values by setting; those left out are as published.
 
     Returns:
@@ -132,7 +130,7 @@ def one_at_a_time(methods: Iterable[str], axes: Axes) -> list[Case]:
     cases = []
     for method in methods:
         chosen = _axes_of(method, axes)
-        if method in FILTERS or not chosen:
+        if method not in RENDERERS:
             cases.append(make_case(method))
         cases += [make_case(method, **{name: v}) for name, values in chosen.items() for v in values]
     return list(dict.fromkeys(cases))
@@ -140,6 +138,5 @@ def one_at_a_time(methods: Iterable[str], axes: Axes) -> list[Case]:
 
 def _axes_of(method: str, axes: Axes) -> Axes:
     """The settings that matter to a method."""
-    if method in FILTERS:
-        return axes
-    return {"samples": axes["samples"]} if method in RENDERERS and "samples" in axes else {}
+    matter = axes if Case(method).has_settings else ("samples",) if method in RENDERERS else ()
+    return {name: values for name, values in axes.items() if name in matter}

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from ..scenes import SCENES
 from .cases import RENDERERS, Case
-from .measure import machine
+from .programs import machine
 from .results import Row, code_digest, identity
 from .subjects import Subject, catalogue_subject
 

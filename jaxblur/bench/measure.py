@@ -1,12 +1,10 @@
 """Measure cases on a subject: time, memory, error."""
 
 import dataclasses
-import functools
 import logging
 import os
-import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -14,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool
 
 from .. import metrics, scenes
-from ..filters import FILTERS, PUBLISHED
-from ..frame import Frame
+from ..filters import FILTERS
 from ..settings import Settings
 from ..vectors import speed_statistics
 from .cases import UNBLURRED, Case
 from .memory import peak_resident_megabytes
+from .programs import Program, Programs, machine, parameters_of
 from .results import Figures, Row, code_digest, identity
 from .subjects import Loaded, Subject
 from .timing import Timing, calibration, time_in_turn
@@ -27,61 +25,8 @@ from .timing import Timing, calibration, time_in_turn
 LOG = logging.getLogger("jaxblur")
 CALIBRATION = "calibration"
 
-
-@dataclasses.dataclass(frozen=True)
-class Program:
-    """A filter, compiled for one size.
-
-    Attributes:
-        compiled: function of parameters and frame.
-        compile_seconds: of tracing and compiling.
-        temporary_bytes: peak of the temporary buffers by the compiler's account, or None.
-    """
-
-    compiled: Any
-    compile_seconds: float
-    temporary_bytes: int | None
-
-
-class Programs:
-    """Compiled filters. Settings that come to the same program share it, and so its figures."""
-
-    def __init__(self):
-        self._by_case: dict[Any, Program] = {}
-        self._by_text: dict[str, Program] = {}
-
-    def get(self, method: str, settings: Settings, frame: Frame) -> Program:
-        """The program for a frame of this size, compiled if it is new.
-
-        Raises:
-            ValueError: the filter refuses the settings.
-        """
-        shapes = tuple(buffer.shape for buffer in jax.tree.leaves(frame))
-        key = method, settings, shapes
-        if key not in self._by_case:
-            self._by_case[key] = self._compile(method, settings, frame)
-        return self._by_case[key]
-
-    def _compile(self, method: str, settings: Settings, frame: Frame) -> Program:
-        blur = functools.partial(FILTERS[method], settings=settings)
-        started = time.perf_counter()
-        lowered = jax.jit(lambda parameters, frame: blur(frame, parameters)).lower(
-            parameters_of(method), frame
-        )
-        text = lowered.as_text()
-        if text not in self._by_text:
-            compiled = lowered.compile()
-            seconds = time.perf_counter() - started
-            analysis = compiled.memory_analysis()
-            temporary = None if analysis is None else int(analysis.temp_size_in_bytes)
-            self._by_text[text] = Program(compiled, seconds, temporary)
-        return self._by_text[text]
-
-
-def parameters_of(method: str) -> Any:
-    """The published parameters of a filter as float32 scalars, None if it has none."""
-    record = PUBLISHED[method][0] if method in PUBLISHED else None
-    return jax.tree.map(np.float32, record)
+Run = Callable[[], Any]
+Method = Callable[[Subject, Settings], Run]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +34,7 @@ class _Prepared:
     """A case ready to run."""
 
     case: Case
-    run: Callable[[], jax.Array]
+    run: Run
     program: Program | None
     radius: int | None
 
@@ -100,6 +45,7 @@ def measure(
     programs: Programs,
     repeats: int = 9,
     limit: float = 60.0,
+    others: Mapping[str, Method] | None = None,
 ) -> list[Row]:
     """Measure some cases in turn on one subject.
 
@@ -112,12 +58,19 @@ def measure(
         programs: what is compiled already; what is compiled here joins.
         repeats: number of rounds.
         limit: seconds after which no further round starts.
+        others: methods besides filters, renderers and the unblurred frame, by name: functions of
+            subject and settings that give a function without arguments, which gives an image.
 
     Returns:
         A row for each case that could run.
+
+    Raises:
+        ValueError: a case has an unknown method.
     """
+    others = others or {}
+    _check_methods(cases, others)
+    prepared = [p for case in cases if (p := _prepare(subject, case, programs, others))]
     loaded = subject.load()
-    prepared = [p for case in cases if (p := _prepare(subject, loaded, case, programs))]
     first = {_same(p): p for p in reversed(prepared)}
     measured = {key: _look(p, loaded) for key, p in first.items()}
     runs = {key: p.run for key, p in first.items()} | {CALIBRATION: calibration()}
@@ -129,10 +82,11 @@ def measure(
     return rows
 
 
-def machine() -> str:
-    """The version of jax, the kind of device and the number of processors, in a few words."""
-    device = jax.devices()[0].device_kind
-    return f"jax {jax.__version__} {device} {platform.machine()} x{os.cpu_count()}"
+def _check_methods(cases: Sequence[Case], others: Mapping[str, Method]) -> None:
+    known = (*FILTERS, *_OTHERS, *others)
+    for case in cases:
+        if case.method not in known:
+            raise ValueError(f"`method` must be one of {', '.join(known)}, got {case.method!r}.")
 
 
 def _same(prepared: _Prepared) -> Any:
@@ -140,41 +94,55 @@ def _same(prepared: _Prepared) -> Any:
     return prepared.case if prepared.program is None else id(prepared.program)
 
 
-def _prepare(subject: Subject, loaded: Loaded, case: Case, programs: Programs) -> _Prepared | None:
-    if case.method == UNBLURRED:
-        return _Prepared(case, lambda: loaded.frame.color, None, None)
-    if not case.is_filter:
-        return _prepare_renderer(subject, loaded, case)
-    settings = case.settings
+def _prepare(
+    subject: Subject, case: Case, programs: Programs, others: Mapping[str, Method]
+) -> _Prepared | None:
+    """Compile what must be; None for what cannot run, with a log record."""
+    loaded, settings = subject.load(), case.settings
     if case.auto_radius:
         radius = speed_statistics(np.asarray(loaded.frame.velocity)).suggested_radius
         settings = dataclasses.replace(settings, radius=radius)
+    radius = settings.radius if case.has_settings else None
     try:
-        program = programs.get(case.method, settings, loaded.frame)
+        if case.method in FILTERS:
+            program = programs.get(case.method, settings, loaded.frame)
+            return _Prepared(case, _filter_run(case.method, program, loaded), program, radius)
+        run = (_OTHERS | dict(others))[case.method](subject, settings)
     except ValueError as error:
         LOG.warning("%s on %s: left out: %s", case.label, subject.name, error)
         return None
-    parameters = parameters_of(case.method)
-
-    def run() -> jax.Array:
-        return program.compiled(parameters, loaded.frame).block_until_ready()
-
-    return _Prepared(case, run, program, settings.radius)
+    return _Prepared(case, run, None, radius)
 
 
-def _prepare_renderer(subject: Subject, loaded: Loaded, case: Case) -> _Prepared | None:
-    if loaded.scene is None:
-        LOG.warning("%s on %s: left out: it is no scene of the catalogue", case.label, subject.name)
-        return None
-    scene, number = loaded.scene, case.settings.samples
-    shared = {"shutter": subject.shutter, "size": subject.size}
-    renderers = {
-        "accumulate": lambda: scenes.accumulate(scene, samples=number, **shared),
-        "stochastic": lambda: scenes.stochastic(scene, samples=number, **shared),
-        "motion_paths": lambda: scenes.motion_paths(scene, spatial_samples=number, **shared),
-    }
-    render = renderers[case.method]
-    return _Prepared(case, lambda: jax.block_until_ready(render()), None, None)
+def _filter_run(method: str, program: Program, loaded: Loaded) -> Run:
+    parameters = parameters_of(method)
+    return lambda: program.compiled(parameters, loaded.frame).block_until_ready()
+
+
+def _unblurred(subject: Subject, settings: Settings) -> Run:
+    color = subject.load().frame.color
+    return lambda: color
+
+
+def _renderer(subject: Subject, render: Callable[..., Any], **samples: int) -> Run:
+    """A renderer on the scene of a subject.
+
+    Raises:
+        ValueError: the subject has none.
+    """
+    scene = subject.load().scene
+    if scene is None:
+        raise ValueError(f"`subject` must be a scene of the catalogue, got {subject.name!r}.")
+    arguments = {"shutter": subject.shutter, "size": subject.size} | samples
+    return lambda: jax.block_until_ready(render(scene, **arguments))
+
+
+_OTHERS: dict[str, Method] = {
+    UNBLURRED: _unblurred,
+    "accumulate": lambda s, n: _renderer(s, scenes.accumulate, samples=n.samples),
+    "stochastic": lambda s, n: _renderer(s, scenes.stochastic, samples=n.samples),
+    "motion_paths": lambda s, n: _renderer(s, scenes.motion_paths, spatial_samples=n.samples),
+}
 
 
 def _look(prepared: _Prepared, loaded: Loaded) -> Figures:

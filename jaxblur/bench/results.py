@@ -136,10 +136,10 @@ def identity(subject: Subject, case: Case) -> tuple[str, ...]:
         "method": case.method,
     }
     matter = SETTINGS
-    if not case.is_filter:
+    if not case.has_settings:
         matter = ("samples",) if case.method in RENDERERS else ()
     texts |= {name: str(getattr(case.settings, name)) for name in matter}
-    if case.is_filter and case.auto_radius:
+    if case.has_settings and case.auto_radius:
         texts["radius"] = AUTO
     return tuple(texts.get(column, "") for column in IDENTITY_COLUMNS)
 

@@ -1,0 +1,77 @@
+"""Filters compiled ahead of time, and the machine that they run on."""
+
+import dataclasses
+import functools
+import os
+import platform
+import time
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..filters import FILTERS, PUBLISHED
+from ..frame import Frame
+from ..settings import Settings
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """A filter, compiled for one size.
+
+    Attributes:
+        compiled: function of parameters and frame.
+        compile_seconds: of tracing and compiling.
+        temporary_bytes: peak of the temporary buffers by the compiler's account, or None.
+    """
+
+    compiled: Any
+    compile_seconds: float
+    temporary_bytes: int | None
+
+
+class Programs:
+    """Compiled filters. Settings that come to the same program share it, and so its figures."""
+
+    def __init__(self):
+        self._by_case: dict[Any, Program] = {}
+        self._by_text: dict[str, Program] = {}
+
+    def get(self, method: str, settings: Settings, frame: Frame) -> Program:
+        """The program for a frame of this size, compiled if it is new.
+
+        Raises:
+            ValueError: the filter refuses the settings.
+        """
+        shapes = tuple(buffer.shape for buffer in jax.tree.leaves(frame))
+        key = method, settings, shapes
+        if key not in self._by_case:
+            self._by_case[key] = self._compile(method, settings, frame)
+        return self._by_case[key]
+
+    def _compile(self, method: str, settings: Settings, frame: Frame) -> Program:
+        blur = functools.partial(FILTERS[method], settings=settings)
+        started = time.perf_counter()
+        lowered = jax.jit(lambda parameters, frame: blur(frame, parameters)).lower(
+            parameters_of(method), frame
+        )
+        text = lowered.as_text()
+        if text not in self._by_text:
+            compiled = lowered.compile()
+            seconds = time.perf_counter() - started
+            analysis = compiled.memory_analysis()
+            temporary = None if analysis is None else int(analysis.temp_size_in_bytes)
+            self._by_text[text] = Program(compiled, seconds, temporary)
+        return self._by_text[text]
+
+
+def parameters_of(method: str) -> Any:
+    """The published parameters of a filter as float32 scalars, None if it has none."""
+    record = PUBLISHED[method][0] if method in PUBLISHED else None
+    return jax.tree.map(np.float32, record)
+
+
+def machine() -> str:
+    """The version of jax, the kind of device and the number of processors, in a few words."""
+    device = jax.devices()[0].device_kind
+    return f"jax {jax.__version__} {device} {platform.machine()} x{os.cpu_count()}"
