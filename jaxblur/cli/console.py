@@ -4,24 +4,9 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from jaxblur.text import printable
+
 GAP = "  "
-
-
-def printable(text: Any) -> str:
-    """Escape control characters, so that names from files cannot move the cursor or recolor.
-
-    Args:
-        text: anything that has a text.
-
-    Returns:
-        The text on one line; what is not printable stands as its Python escape.
-    """
-    return "".join(c if c.isprintable() else _escaped(c) for c in str(text))
-
-
-def one_line(text: str) -> str:
-    """Join lines, then escape as `printable` does."""
-    return printable(" ".join(text.split()))
 
 
 def print_line(text: Any = "") -> None:
@@ -69,10 +54,6 @@ def track(frames: Sequence[int], description: str) -> Iterator[int]:
 
     console = Console(stderr=True)
     yield from rich_track(frames, escape(printable(description)), console=console)
-
-
-def _escaped(character: str) -> str:
-    return " " if character == "\n" else character.encode("unicode_escape").decode("ascii")
 
 
 def _print_ruled(columns: Sequence[str], cells: Sequence[Sequence[str]]) -> None:

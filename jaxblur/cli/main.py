@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jaxblur
+from jaxblur.text import one_line
 
 from . import bench, blur, demo, fit, info, report, scene, vectors
 from .arguments import Parser, in_option_names
-from .console import one_line
 from .errors import is_foreseeable, message_of
 
 LOG = logging.getLogger("jaxblur")

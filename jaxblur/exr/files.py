@@ -11,6 +11,8 @@ import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
+from jaxblur.text import one_line, printable
+
 PathLike = str | os.PathLike[str]
 
 EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
@@ -20,6 +22,8 @@ IMAGE_SIZE_LIMIT_MB = 4096
 class JaxblurIOError(Exception):
     """A file could not be read or written; the message is one line: file, problem, remedy.
 
+    Names in the message came from files: what is not printable in them is escaped.
+
     Attributes:
         path: the file.
         reason: problem and remedy.
@@ -27,8 +31,8 @@ class JaxblurIOError(Exception):
 
     def __init__(self, path: PathLike, reason: str):
         self.path = os.fspath(path)
-        self.reason = " ".join(reason.split())
-        super().__init__(f"{self.path}: {self.reason}")
+        self.reason = one_line(reason)
+        super().__init__(f"{printable(self.path)}: {self.reason}")
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:
         return type(self), (self.path, self.reason)
