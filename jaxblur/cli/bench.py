@@ -22,7 +22,6 @@ from .arguments import (
 from .blur import add_source_options
 from .compute import start_jax
 from .console import print_line, print_table, track
-from .filtering import add_nonfinite_option
 from .scene import image_size
 
 LOG = logging.getLogger("jaxblur")
@@ -85,7 +84,6 @@ def add_parser(commands: Any) -> None:
     )
     add_vector_options(parser)
     add_source_options(parser)
-    add_nonfinite_option(parser)
 
 
 def _add_scene_options(parser: argparse.ArgumentParser) -> None:
