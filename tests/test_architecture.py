@@ -9,7 +9,17 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
-LOWEST = {"folders", "frame", "native", "noise", "nonfinite", "safe_math", "settings", "srgb"}
+LOWEST = {
+    "folders",
+    "frame",
+    "native",
+    "noise",
+    "nonfinite",
+    "safe_math",
+    "settings",
+    "srgb",
+    "text",
+}
 OPERATORS = {"sample_sums", "sampling", "tiles", "weights"}
 CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
