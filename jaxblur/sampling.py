@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -76,31 +75,43 @@ def read_position(
 
 
 def read_nearest(
-    plane: Float[Array, " pixels"], index: Int[Array, "*shape"]
+    table: Float[Array, " texels"], index: Int[Array, "*shape"]
 ) -> Float[Array, "*shape"]:
-    """Read a flattened plane at indices that are known to lie inside it.
+    """Read a flat table at indices that are known to lie inside it.
 
     Args:
-        plane: (H * W,) values.
-        index: row-major indices.
+        table: (texels,) values.
+        index: positions in it.
 
     Returns:
         Values of the index's shape.
     """
-    return plane.at[index].get(mode="promise_in_bounds")
+    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+def color_table(color: Float[Array, "height width channels"]) -> Float[Array, " texels"]:
+    """Color as the flat table that `read_color` reads; channels of a pixel are neighbors.
+
+    Args:
+        color: (H, W, C).
+
+    Returns:
+        (H * W * C,), the same memory.
+    """
+    return color.reshape(-1)
 
 
 def read_color(
-    planes: tuple[Float[Array, " pixels"], ...], texels: Texels, size: tuple[int, int], fetch: Fetch
+    table: Float[Array, " texels"], texels: Texels, size: tuple[int, int], fetch: Fetch
 ) -> tuple[Float[Array, "*shape"], ...]:
-    """Read color planes at the taps.
+    """Read color at the taps.
 
     ``bilinear`` mixes the texels at floor and floor + 1 (floor and ceil coincide at integers,
     where the derivative with respect to the position would vanish); beyond the border the edge
-    texel continues. Differentiable in the planes, and under ``bilinear`` in the position.
+    texel continues. Differentiable in the color, and under ``bilinear`` in the position.
 
     Args:
-        planes: one flattened plane a channel.
+        table: from `color_table`.
         texels: where to read.
         size: (H, W) of the image.
         fetch: ``nearest`` or ``bilinear``.
@@ -108,30 +119,19 @@ def read_color(
     Returns:
         One array a channel, of the texels' shape.
     """
-    if fetch == "nearest":
-        return tuple(read_nearest(plane, texels.index) for plane in planes)
     height, width = size
+    channels = table.size // (height * width)
+    if fetch == "nearest":
+        return tuple(read_nearest(table, texels.index * channels + c) for c in range(channels))
     left, top = jnp.floor(texels.x), jnp.floor(texels.y)
     across, down = texels.x - left, texels.y - top
     columns = [jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1)]
     rows = [jnp.clip(top.astype(jnp.int32) + k, 0, height - 1) * width for k in (0, 1)]
-    corners = [row + column for row in rows for column in columns]
+    corners = [(row + column) * channels for row in rows for column in columns]
 
-    def mix(plane):
-        a, b, c, d = (read_nearest(plane, corner) for corner in corners)
+    def mix(channel):
+        a, b, c, d = (read_nearest(table, corner + channel) for corner in corners)
         upper, lower = a + across * (b - a), c + across * (d - c)
         return upper + down * (lower - upper)
 
-    return tuple(mix(plane) for plane in planes)
-
-
-def color_planes(color: Float[Array, "height width channels"]) -> tuple[jax.Array, ...]:
-    """Color as one flattened plane a channel, the layout that `read_color` reads.
-
-    Args:
-        color: (H, W, C).
-
-    Returns:
-        C arrays of shape (H * W,).
-    """
-    return tuple(color[..., channel].reshape(-1) for channel in range(color.shape[-1]))
+    return tuple(mix(channel) for channel in range(channels))

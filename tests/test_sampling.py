@@ -47,8 +47,8 @@ def test_bilinear_fetch_equals_map_coordinates():
     image = jnp.asarray(generator.random((*size, 2)), jnp.float32)
     offsets = generator.uniform(-4, 4, (2, *size, 6)).astype(np.float32)
     texels = sampling.read_position(jnp.asarray(offsets[0]), jnp.asarray(offsets[1]), size, "clamp")
-    planes = sampling.color_planes(image)
-    for channel, value in enumerate(sampling.read_color(planes, texels, size, "bilinear")):
+    table = sampling.color_table(image)
+    for channel, value in enumerate(sampling.read_color(table, texels, size, "bilinear")):
         expected = map_coordinates(
             image[..., channel], [texels.y, texels.x], order=1, mode="nearest"
         )
@@ -62,7 +62,7 @@ def test_bilinear_fetch_at_integers_has_the_slope_to_the_right():
         texels = sampling.read_position(
             jnp.full((1, 3, 1), offset), jnp.zeros((1, 3, 1)), (1, 3), "clamp"
         )
-        return sampling.read_color((plane,), texels, (1, 3), "bilinear")[0][0, 1, 0]
+        return sampling.read_color(plane, texels, (1, 3), "bilinear")[0][0, 1, 0]
 
     assert read(0.0) == 1
     assert jax.grad(read)(0.0) == 3

@@ -12,7 +12,7 @@ from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
 from ..sample_sums import sum_samples
 from ..sampling import (
-    color_planes,
+    color_table,
     read_color,
     read_nearest,
     read_position,
@@ -153,7 +153,7 @@ def _buffers(frame, velocity, speed, noise, parameters, settings):
         "depth": depth,
     }
     weights = {name: plane.reshape(-1) for name, plane in weights.items()}
-    return local, {"weights": weights, "color": color_planes(frame.color)}
+    return local, {"weights": weights, "color": color_table(frame.color)}
 
 
 def _reconstruct(frame, velocity, speed, dominant, buffers, parameters, settings):

@@ -12,7 +12,7 @@ from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sample_sums import sum_samples
 from ..sampling import (
-    color_planes,
+    color_table,
     read_color,
     read_nearest,
     read_position,
@@ -121,7 +121,7 @@ def mcguire2012(
         "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
         "soft_z_extent": jnp.asarray(parameters.soft_z_extent, frame.color.dtype),
     }
-    tables["color"] = color_planes(frame.color)
+    tables["color"] = color_table(frame.color)
     moving = safe_norm(dominant[..., 0], dominant[..., 1]) > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
     *colors, weight = sum_samples(

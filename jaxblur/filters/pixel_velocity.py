@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from ..frame import Frame, check_frame
 from ..noise import Noise, resolve_noise
 from ..sample_sums import sum_samples
-from ..sampling import color_planes, read_color, read_position, tap_position
+from ..sampling import color_table, read_color, read_position, tap_position
 from ..settings import Settings
 from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR
@@ -67,7 +67,7 @@ def pixel_velocity(
     moving = speed > SPEED_FLOOR
     sample = functools.partial(_sample, (height, width), settings)
     *colors, count = sum_samples(
-        sample, settings.samples, moving, local, color_planes(frame.color), settings.backend
+        sample, settings.samples, moving, local, color_table(frame.color), settings.backend
     )
     mean = jnp.stack(colors, axis=-1) / jnp.maximum(count, 1)[..., None]
     blurred = moving & (count > 0)

@@ -37,7 +37,7 @@ def native_sum(
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    return _build(lambda: emit_sum(sample, count, size, *operands), size, backend)
+    return _build(lambda: emit_sum(sample, count, size, *operands), backend)
 
 
 def native_pull(
@@ -68,12 +68,10 @@ def native_pull(
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    return _build(lambda: emit_pull(sample, count, size, operands, active, terms), size, backend)
+    return _build(lambda: emit_pull(sample, count, size, operands, active, terms), backend)
 
 
-def _build(
-    emit: Callable[[], Kernel], size: tuple[int, int], backend: str
-) -> Callable[..., tuple[jax.Array, ...]] | None:
+def _build(emit: Callable[[], Kernel], backend: str) -> Callable[..., tuple[jax.Array, ...]] | None:
     """Compile what `emit` writes."""
     if backend == "xla":
         return None
@@ -86,7 +84,7 @@ def _build(
         return _refuse(backend, f"the samples use {error}")
     except BuildFailed as error:
         return _refuse(backend, str(error))
-    return _caller(target, kernel, size)
+    return _caller(target, kernel)
 
 
 def _refuse(backend: str, reason: str) -> None:
@@ -96,12 +94,11 @@ def _refuse(backend: str, reason: str) -> None:
     LOG.info("no native kernel: %s", reason)
 
 
-def _caller(target: str, kernel: Kernel, size: tuple[int, int]) -> Callable[..., Any]:
+def _caller(target: str, kernel: Kernel) -> Callable[..., Any]:
     """The call into the kernel, one after the other under vmap."""
     # The kernel returns its sums first, then its tables.
-    order = sorted(range(len(kernel.adds)), key=lambda position: kernel.adds[position])
-    shapes = [(size[0] * size[1],) if kernel.adds[position] else size for position in order]
-    results = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    order = sorted(range(len(kernel.shapes)), key=lambda k: len(kernel.shapes[k]) == 1)
+    results = [jax.ShapeDtypeStruct(kernel.shapes[k], jnp.float32) for k in order]
     call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
 
     def run(moving: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, ...]:

@@ -25,12 +25,11 @@ class Kernel:
 
     Attributes:
         source: the program.
-        adds: for every result in turn, whether it is a flat table that taps add to; otherwise it
-            is an (H, W) sum.
+        shapes: of every result in turn; (H, W) is a sum, a flat one a table that taps add to.
     """
 
     source: str
-    adds: tuple[bool, ...]
+    shapes: tuple[tuple[int, ...], ...]
 
 
 def _statements(results: Sequence[Value], adds: Sequence[bool]) -> list[str]:
@@ -47,7 +46,7 @@ def _statements(results: Sequence[Value], adds: Sequence[bool]) -> list[str]:
 
 
 def _fill(
-    writer: Writer, declarations: list[str], numbers: dict[str, int], results: list[str]
+    writer: Writer, declarations: list[str], numbers: dict[str, Any], results: list[str]
 ) -> str:
     """The program, from the template and what was collected."""
     parts = {
@@ -81,8 +80,14 @@ def _emit(
     adds = tuple(variable.aval.ndim == 1 for variable in closed.jaxpr.outvars)
     numbers = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
     numbers |= {"ARGUMENT_COUNT": len(leaves) + 1, "SUMS": adds.count(False)}
-    numbers |= {"TABLES": adds.count(True)}
-    return Kernel(_fill(writer, declarations, numbers, _statements(results, adds)), adds)
+    sizes = [variable.aval.size for variable in closed.jaxpr.outvars if variable.aval.ndim == 1]
+    numbers |= {"TABLES": len(sizes), "TABLE_SIZES": ", ".join(map(str, [*sizes, 0]))}
+    source = _fill(writer, declarations, numbers, _statements(results, adds))
+    shapes = tuple(
+        variable.aval.shape if variable.aval.ndim == 1 else size
+        for variable in closed.jaxpr.outvars
+    )
+    return Kernel(source, shapes)
 
 
 def _leaves(local: Any, tables: Any) -> list[tuple[Any, bool]]:

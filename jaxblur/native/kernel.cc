@@ -128,6 +128,7 @@ static inline void add(float* table, Ints index, Floats values, int lanes) {
   for (int k = 0; k < lanes; ++k) table[index[k]] += values[k];
 }
 
+static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 @CONSTANTS@
 struct Job {
   const uint8_t* moving;
@@ -201,16 +202,15 @@ static int count_threads(void) {
 /* Tables of every thread but the first, which has the result's own. Calloc hands out pages that
    cost nothing until a tap touches them. */
 static bool make_tables(Job* job, Share* shares) {
-  const int64_t pixels = (int64_t)HEIGHT * WIDTH;
   bool enough = true;
   for (int t = 0; t < job->threads; ++t) {
     shares[t] = {job, t, {}};
     for (int k = 0; k < TABLES; ++k) {
-      shares[t].tables[k] = t ? (float*)calloc(pixels, sizeof(float)) : job->tables[k];
+      shares[t].tables[k] = t ? (float*)calloc(TABLE_SIZES[k], sizeof(float)) : job->tables[k];
       enough = enough && shares[t].tables[k];
     }
   }
-  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, pixels * sizeof(float));
+  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, TABLE_SIZES[k] * sizeof(float));
   return enough;
 }
 
@@ -218,7 +218,7 @@ static void join_tables(Job* job, Share* shares, bool enough) {
   for (int t = 1; t < job->threads; ++t) {
     for (int k = 0; k < TABLES; ++k) {
       const float* part = shares[t].tables[k];
-      for (int64_t p = 0; enough && p < (int64_t)HEIGHT * WIDTH; ++p) job->tables[k][p] += part[p];
+      for (int64_t p = 0; enough && p < TABLE_SIZES[k]; ++p) job->tables[k][p] += part[p];
       free(shares[t].tables[k]);
     }
   }
