@@ -50,6 +50,44 @@ def test_info_counts_damaged_vectors_instead_of_refusing_them(tmp_path):
     assert motion["speeds"]["non_finite_share"] == pytest.approx(0.05)
 
 
+def test_info_counts_bad_values_by_channel_and_leaves_the_sky_alone(tmp_path):
+    channels = plain_frame((10, 10))
+    channels["G"][2, :3] = np.inf
+    channels["B"][0, 0] = np.nan
+    channels["Z"][:5] = np.inf
+    path = write_single(tmp_path / "frame.exr", channels)
+    assert json.loads(run("info", path, "--json").out)["not_finite"] == {"G": 3, "B": 1}
+    rows = [line.split() for line in run("info", path).out.splitlines()]
+    assert ["G", "3"] in rows and ["B", "1"] in rows and ["Z", "50"] not in rows
+    assert json.loads(run("info", CAR, "--json").out)["not_finite"] == {}
+
+
+HOSTILE = "\x1b[31mred\x1b]0;title\x07\u202e"
+
+
+def test_names_from_files_are_escaped_wherever_they_are_printed(tmp_path):
+    channels = plain_frame((4, 6))
+    extra = {f"{HOSTILE}.x": channels["R"], "<script>alert(1)</script>": channels["G"]}
+    note = {"jaxblur__note": HOSTILE, "Software": "../../etc/passwd"}
+    path = write_single(tmp_path / "frame.exr", channels | extra, **note)
+    outcomes = [
+        run("info", path),
+        run("info", path, "--json"),
+        run("info", path, "--velocity-channels", f"{HOSTILE}.x,none"),
+        run("vectors", path, "--next", path, "--velocity-channels", f"{HOSTILE}.x,{HOSTILE}.x"),
+        run("blur", path, "-o", tmp_path / "out.exr", "--color-channels", f"{HOSTILE}.x,none"),
+    ]
+    for outcome in outcomes:
+        for text in (outcome.out, outcome.err):
+            assert all(c.isprintable() or c == "\n" for c in text), text
+    assert "\\x1b[31mred" in outcomes[0].out and "\\x1b[31mred" in outcomes[2].err
+    with pytest.raises(exr.JaxblurIOError) as refusal:
+        exr.read_frame(path, velocity_channels=["none", "nor this"])
+    assert str(refusal.value).isprintable()
+    # Nothing that a file says names a path.
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame.exr"]
+
+
 def test_info_on_a_file_without_vectors_says_so(tmp_path):
     path = write_single(tmp_path / "rgb.exr", {name: plain_frame()[name] for name in "RGB"})
     outcome = run("info", path)
@@ -119,6 +157,19 @@ def test_vectors_works_on_channels_of_any_name(tmp_path):
     outcome = run("vectors", first, "--next", second, "--velocity-channels", "who.knows,what.this")
     assert "best: forward = (+1 x, -1 y) in px over 1 frames" in outcome.out
     assert "--velocity-channels" in refused("vectors", first, "--next", second)
+
+
+def test_vectors_compares_the_channels_that_both_frames_have(tmp_path):
+    names = list(exr.choose_vectors(exr.inspect(CUBE)).channels)
+    color, raw = exr.read_image(CUBE), exr.read_channels(CUBE, names)
+    assert color.shape[2] == 4 and exr.read_image(CUBE_NEXT).shape[2] == 4
+    channels = {c: color[..., i] for i, c in enumerate("RGB")}
+    channels |= {name: raw[..., i] for i, name in enumerate(names)}
+    without_alpha = write_single(tmp_path / "rgb.exr", channels)
+    outcome = run("vectors", without_alpha, "--next", CUBE_NEXT)
+    assert outcome.status == 0 and outcome.out.rstrip().endswith("preset blender")
+    gray = write_single(tmp_path / "gray.exr", {"Y": channels["R"]})
+    assert "1 channels" in refused("vectors", without_alpha, "--next", gray)
 
 
 def test_vectors_says_when_frames_do_not_belong_together():

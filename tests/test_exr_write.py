@@ -1,6 +1,7 @@
 """Writing images: what survives from the model file, and files that are whole or not there."""
 
 import os
+import re
 import stat
 from typing import Any
 
@@ -78,7 +79,10 @@ def test_mixed_types_of_one_part_keep_their_bits(tmp_path):
     assert {c.name: c.type for c in info.channels}["id"] == "uint"
 
     image = np.full((*shape, 4), 0.25, np.float32)
-    exr.write_image(tmp_path / "out.exr", image, like=source)
+    with pytest.warns(
+        exr.JaxblurIOWarning, match=r"NaN or infinity in .*mask \(\d pixels\), copied"
+    ):
+        exr.write_image(tmp_path / "out.exr", image, like=source)
     after = exr.inspect(tmp_path / "out.exr")
     assert [(c.name, c.type) for c in after.channels] == [(c.name, c.type) for c in info.channels]
     for name, kind in (("Z", "float"), ("crypto00.R", "float"), ("mask", "half"), ("id", "uint")):
@@ -308,3 +312,41 @@ def test_a_png_is_no_model(tmp_path):
     with pytest.raises(exr.JaxblurIOError, match=r"a.png: `like` must be an .exr file"):
         exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=tmp_path / "a.png")
     assert files(tmp_path) == ["a.png"]
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(tmp_path, parts):
+    channels = plain_frame()
+    channels["velocity.X"][1, 2] = np.nan
+    channels["velocity.Y"][0, 0] = -np.inf
+    channels["Z"][3, 3] = np.inf
+    color = {name: channels.pop(name) for name in "RGB"}
+    source = tmp_path / "in.exr"
+    if parts == 1:
+        write_single(source, color | channels)
+    else:
+        specs = [make_spec(color, name="rgb"), make_spec(channels, name="data")]
+        write_parts(source, [(specs[0], color), (specs[1], channels)])
+    prefix = "" if parts == 1 else "data."
+    names = f"{prefix}velocity.X (1 pixels), {prefix}velocity.Y (1 pixels)"
+    image = np.full((4, 6, 3), 0.5, np.float32)
+    for policy, words, value in (("keep", "copied as they are", np.nan), ("zero", "set to 0", 0)):
+        out = tmp_path / f"{policy}.exr"
+        with pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}")):
+            exr.write_image(out, image, like=source, nonfinite=policy)
+        stored = exr.read_channels(out, [f"{prefix}velocity.X", f"{prefix}Z"])
+        np.testing.assert_equal(stored[1, 2, 0], np.float32(value))
+        assert np.isposinf(stored[3, 3, 1]), "the sky stays"
+        good = np.isfinite(channels["velocity.X"])
+        np.testing.assert_array_equal(stored[..., 0][good], channels["velocity.X"][good])
+
+
+def test_an_existing_file_stays_if_it_must_not_be_replaced(tmp_path):
+    path = tmp_path / "out.exr"
+    exr.write_image(path, np.zeros((2, 3, 3), np.float32))
+    before = path.read_bytes()
+    with pytest.raises(exr.JaxblurIOError, match=r"out.exr: exists; pass overwrite=True"):
+        exr.write_image(path, np.ones((2, 3, 3), np.float32), overwrite=False)
+    assert path.read_bytes() == before
+    exr.write_image(path, np.ones((2, 3, 3), np.float32))
+    assert (exr.read_image(path) == 1).all()

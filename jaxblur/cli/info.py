@@ -39,15 +39,28 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import exr
 
     info = exr.inspect(arguments.file)
-    motion = _motion(info, arguments)
+    bad, motion = _not_finite(info), _motion(info, arguments)
     if arguments.json:
         listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
-        print(json.dumps(listing | {"motion": motion}, indent=2))
+        print(json.dumps(listing | {"not_finite": bad, "motion": motion}, indent=2))
     else:
         print_line(info.path)
         _print_parts(info)
+        _print_not_finite(bad)
         _print_motion(motion)
     return 0
+
+
+def _not_finite(info: Any) -> dict[str, int]:
+    """Count pixels with NaN or infinity (other than sky in depth) by channel, where there are."""
+    from jaxblur import exr
+
+    counts = {}
+    for part in info.parts:
+        names = [c.name for c in part.channels if c.type in ("half", "float")]
+        if names and not part.deep:
+            counts |= exr.count_not_finite(info, names)
+    return {name: count for name, count in counts.items() if count}
 
 
 def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -140,6 +153,13 @@ def _print_parts(info: Any) -> None:
     if notes:
         print_line()
         print_table(("attribute", "value"), sorted(notes))
+
+
+def _print_not_finite(bad: dict[str, int]) -> None:
+    if bad:
+        print_line()
+        print_table(("channel", ">pixels with NaN or infinity"), list(bad.items()))
+        print_line("`jaxblur blur` refuses them in what it uses, or leaves them out: --nonfinite")
 
 
 def _window(window: tuple[int, int, int, int]) -> str:

@@ -207,6 +207,7 @@ def write(
             attributes=provenance,
             layer=arguments.layer,
             color_channels=arguments.color_channels,
+            nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
         )
         if output.suffix.lower() == ".png":
             LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)

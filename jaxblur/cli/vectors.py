@@ -76,18 +76,27 @@ def _rank(arguments: argparse.Namespace) -> Any:
     *_, width, height = info.parts[info.channel(names[0]).part].display_window
     now = exr.read_image(arguments.file, arguments.layer)
     following = exr.read_image(arguments.next, arguments.layer)
-    if now.shape != following.shape:
+    colors = {_color_count(image) for image in (now, following)}
+    if now.shape[:2] != following.shape[:2] or len(colors) > 1:
         raise CommandError(
             f"{arguments.next}: {_size(following)}, but {arguments.file} has {_size(now)}; give "
             "two frames of one sequence."
         )
     raw = exr.read_channels(arguments.file, names)
+    if now.shape != following.shape:
+        # One of the two lacks alpha; what both have is compared.
+        now, following = (image[..., : min(colors)] for image in (now, following))
     try:
         return vectors.rank_conventions(
             now, following, raw, names, shutter=arguments.shutter, size=(height, width)
         )
     except ValueError as error:
         raise CommandError(f"{arguments.file}: {error}") from error
+
+
+def _color_count(image: Any) -> int:
+    """Count the channels but for alpha: gray or RGB."""
+    return 1 if image.shape[2] < 3 else 3
 
 
 def _size(image: Any) -> str:

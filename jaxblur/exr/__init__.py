@@ -37,6 +37,7 @@ from .files import (
 from .read import (
     DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,
+    count_not_finite as count_not_finite,
     read_buffers as read_buffers,
     read_frame as read_frame,
     read_image as read_image,

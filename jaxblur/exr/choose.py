@@ -163,6 +163,18 @@ def choose_depth(
     )
 
 
+def is_depth(name: str) -> bool:
+    """Tell by its name whether a channel holds depth, where infinity is sky.
+
+    Args:
+        name: full name.
+
+    Returns:
+        Whether it does.
+    """
+    return any(vectors.find_channels(pattern, [name]) for pattern in (*DEPTH_PATTERNS, *ROOT_DEPTH))
+
+
 def _component(name: str) -> str:
     letter = name.rpartition(".")[2]
     words = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}

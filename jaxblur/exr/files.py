@@ -17,6 +17,13 @@ PathLike = str | os.PathLike[str]
 
 EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
 IMAGE_SIZE_LIMIT_MB = 4096
+# Deflate cannot expand further, the others here even less; a crafted header is told by that.
+LARGEST_EXPANSION = {
+    "none": 1,
+    **dict.fromkeys(("rle", "zips", "zip", "pxr24", "piz", "b44", "b44a"), 2000),
+}
+# Constant pictures shrink to 1 in 21,500 with dwab.
+UNKNOWN_EXPANSION = 200_000
 
 
 class JaxblurIOError(Exception):
@@ -179,14 +186,22 @@ def open_input(path: PathLike) -> Iterator[Any]:
     try:
         source = oiio.ImageInput.open(os.fspath(path))
     except (RuntimeError, UnicodeDecodeError, ValueError) as error:
-        raise JaxblurIOError(path, f"cannot be opened: {error}") from error
+        raise JaxblurIOError(path, _unopened(path, str(error))) from error
     if source is None:
-        raise JaxblurIOError(path, f"cannot be opened: {pending_message()}")
+        raise JaxblurIOError(path, _unopened(path, pending_message()))
     try:
         yield source
     finally:
         source.close()
         pending_message(source)
+
+
+def _unopened(path: PathLike, message: str) -> str:
+    kind = pathlib.Path(path).suffix.lower().removeprefix(".").upper()
+    return (
+        f"cannot be opened: truncated, damaged or no {kind} file at all; copy or render it again "
+        f"(the reader says: {message})."
+    )
 
 
 def check_readable(path: PathLike) -> None:
@@ -246,7 +261,7 @@ def describe(source: Any, path: PathLike) -> FileInfo:
         while source.seek_subimage(len(parts), 0):
             parts.append(_describe_part(source.spec(), len(parts)))
     except (UnicodeDecodeError, RuntimeError, ValueError) as error:
-        raise JaxblurIOError(path, f"damaged header: {error}") from error
+        raise JaxblurIOError(path, f"damaged header, copy or render it again ({error}).") from error
     pending_message(source)
     expected = parts[0].attributes.get("oiio:subimages", 1) if parts else 1
     if len(parts) < int(expected):
@@ -288,11 +303,14 @@ def read_named(
 
     if runs == [list(range(len(names)))]:
         return pixels_of(runs[0])
-    out = np.empty((height, width, len(names)), np.float32)
+    out = None
     for run in runs:
+        # The first read comes before the allocation: it refuses sizes that cannot be.
         pixels = pixels_of(run)
+        out = np.empty((height, width, len(names)), np.float32) if out is None else out
         for position, target in enumerate(run):
             out[..., target] = pixels[..., position]
+    assert out is not None
     return out
 
 
@@ -317,6 +335,7 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
     names = ", ".join(channel.name for channel in described.channels[begin:end])
     if described.deep:
         raise JaxblurIOError(info.path, f"{names}: deep pixels; flatten the image first.")
+    _check_size(info, described)
     try:
         pixels = source.read_image(part, 0, begin, end, kind)
     except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError) as error:
@@ -327,6 +346,23 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
             info.path, f"{names}: truncated or damaged, copy or render it again ({message})."
         )
     return pixels
+
+
+def _check_size(info: FileInfo, part: Part) -> None:
+    """Refuse a header that asks for more pixels than the file can hold, before allocating."""
+    if not info.path.lower().endswith(".exr"):
+        return
+    *_, width, height = part.data_window
+    claimed = width * height * sum(2 if c.type == "half" else 4 for c in part.channels)
+    scheme = part.compression.partition(":")[0]
+    held = os.path.getsize(info.path) * LARGEST_EXPANSION.get(scheme, UNKNOWN_EXPANSION)
+    if claimed > held:
+        raise JaxblurIOError(
+            info.path,
+            f"the header claims {width}x{height} pixels, more than {os.path.getsize(info.path)} "
+            f"bytes with {scheme} compression can hold: truncated or damaged, copy or render it "
+            "again.",
+        )
 
 
 def _describe_part(spec: Any, index: int) -> Part:

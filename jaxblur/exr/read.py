@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from jaxblur import srgb, vectors
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
 
-from .choose import ColorGroup, choose_color, choose_depth, choose_vectors
+from .choose import ColorGroup, choose_color, choose_depth, choose_vectors, is_depth
 from .files import (
     Channel,
     FileInfo,
@@ -215,6 +215,28 @@ def read_image(
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
     return _finite(info.path, group.channels, _linear_color(info, group), "error")[0]
+
+
+def count_not_finite(info: FileInfo, names: Sequence[str]) -> dict[str, int]:
+    """Count the pixels with NaN or infinity; infinite depth is sky and does not count.
+
+    Args:
+        info: listing of the file.
+        names: full names of channels of one part.
+
+    Returns:
+        The number of pixels by channel.
+
+    Raises:
+        JaxblurIOError: the pixels cannot be read whole.
+    """
+    values = read_channels(info.path, names)
+    counts = {}
+    for index, name in enumerate(names):
+        plane = values[..., index]
+        sky = np.isposinf(plane) if is_depth(name) else False
+        counts[name] = int(np.count_nonzero(not_finite(plane) & ~np.asarray(sky)))
+    return counts
 
 
 def to_distance(

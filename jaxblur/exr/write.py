@@ -4,7 +4,7 @@ import dataclasses
 import os
 import pathlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,9 +12,10 @@ import OpenImageIO as oiio
 from jaxtyping import Float
 
 from jaxblur import srgb
+from jaxblur.text import printable
 
 from .atomic import check, replacing, writer
-from .choose import choose_color
+from .choose import choose_color, is_depth
 from .files import (
     FileInfo,
     JaxblurIOError,
@@ -47,6 +48,8 @@ def write_image(
     attributes: Mapping[str, str | int | float] | None = None,
     layer: str | None = None,
     color_channels: Sequence[str] | None = None,
+    overwrite: bool = True,
+    nonfinite: Literal["keep", "zero"] = "keep",
 ) -> None:
     """Write a picture, by default in place of the color of another file.
 
@@ -64,14 +67,22 @@ def write_image(
         attributes: metadata to add, such as ``{"jaxblur:version": "0.1.0"}``.
         layer: where in ``like`` to look for color, as in `read_frame`.
         color_channels: full names of the channels of ``like`` to replace.
+        overwrite: replace an existing file; it is never ``like``.
+        nonfinite: NaN, and infinity other than sky in depth, in the channels that are copied from
+            ``like``: "keep" or "zero", with a warning either way.
 
     Raises:
-        JaxblurIOError: not finite, sizes or channel counts differ, ``path`` is ``like`` itself,
-            or the disk refused; nothing is left behind and an older file stays as it was.
+        JaxblurIOError: not finite, sizes or channel counts differ, ``path`` is ``like`` itself
+            or exists without ``overwrite``, or the disk refused; nothing is left behind and an
+            older file stays as it was.
         ValueError: an argument is wrong.
     """
     if extra not in ("keep", "drop"):
         raise ValueError(f"`extra` must be keep or drop; got {extra!r}.")
+    if nonfinite not in ("keep", "zero"):
+        raise ValueError(f"`nonfinite` must be keep or zero; got {nonfinite!r}.")
+    if not overwrite and os.path.exists(path):
+        raise JaxblurIOError(path, "exists; pass overwrite=True to replace it.")
     pixels = _checked_image(path, image)
     kind = pathlib.Path(path).suffix.lower()
     if kind == ".png":
@@ -90,7 +101,7 @@ def write_image(
             _check_model(path, pixels, info, names)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
             with replacing(path) as temporary:
-                _write_parts(path, temporary, source, info, plans, pixels)
+                _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
 
 
 def write_channels(
@@ -252,6 +263,7 @@ def _write_parts(
     info: FileInfo,
     plans: list[_Plan],
     image: np.ndarray,
+    mend: bool,
 ) -> None:
     specs = [plan.spec for plan in plans]
     with writer(path, temporary, specs) as output:
@@ -259,8 +271,10 @@ def _write_parts(
             if position:
                 check(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
             if plan.color:
-                pixels = _merged(path, source, info, plan, image)
+                pixels = _merged(path, source, info, plan, image, mend)
                 check(path, output, output.write_image(pixels))
+            elif (mended := _mended_part(path, source, info, plan, mend)) is not None:
+                check(path, output, output.write_image(mended))
             else:
                 source.seek_subimage(plan.part, 0)
                 _copy_part(path, source, info, output)
@@ -270,13 +284,59 @@ def _write_parts(
             relabel_as_uint(temporary, position, names)
 
 
+def _mended_part(
+    path: PathLike, source: Any, info: FileInfo, plan: _Plan, mend: bool
+) -> np.ndarray | None:
+    """Report NaN and infinity in a part that is copied; give its pixels if they were mended."""
+    part = info.parts[plan.part]
+    kinds = {channel.type for channel in part.channels}
+    if part.deep or not kinds & {"half", "float"}:
+        return None
+    try:
+        pixels = read_span(source, info, plan.part, 0, len(part.channels), "float")
+    except JaxblurIOError as error:
+        raise _not_copied(path, info, plan.part, error.reason) from error
+    # Integers do not survive the way through float, so that such a part is copied as it is.
+    mend = mend and kinds <= {"half", "float"}
+    found = _not_finite(info, plan, pixels, (), mend)
+    return pixels if mend and found else None
+
+
+def _not_finite(
+    info: FileInfo, plan: _Plan, pixels: np.ndarray, replaced: Collection[int], mend: bool
+) -> bool:
+    """Warn of NaN and infinity in the channels that a file keeps, and set them to 0 if asked."""
+    found = []
+    for position, index in enumerate(plan.keep):
+        channel = info.parts[plan.part].channels[index]
+        if position in replaced or channel.type not in ("half", "float"):
+            continue
+        values = pixels[..., position]
+        bad = ~np.isfinite(values)
+        if bad.any() and is_depth(channel.name):
+            bad &= ~np.isposinf(values)
+        if bad.any():
+            found.append(f"{channel.name} ({int(bad.sum())} pixels)")
+            if mend:
+                values[bad] = 0
+    if found:
+        done = "set to 0" if mend else "copied as they are"
+        warnings.warn(
+            f"{printable(info.path)}: NaN or infinity in {printable(', '.join(found))}, {done}.",
+            JaxblurIOWarning,
+            stacklevel=5,
+        )
+    return bool(found)
+
+
 def _merged(
-    path: PathLike, source: Any, info: FileInfo, plan: _Plan, image: np.ndarray
+    path: PathLike, source: Any, info: FileInfo, plan: _Plan, image: np.ndarray, mend: bool
 ) -> np.ndarray:
     """Take a part of the model and put the new color in."""
     channels = info.parts[plan.part].channels
     old = read_span(source, info, plan.part, 0, len(channels), "float")
     pixels = np.ascontiguousarray(old[..., plan.keep])
+    _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
     for position in plan.uint:
         index = plan.keep[position]
         bits = read_span(source, info, plan.part, index, index + 1, "uint")
@@ -293,11 +353,15 @@ def _copy_part(path: PathLike, source: Any, info: FileInfo, output: Any) -> None
     except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError):
         copied = False
     if not copied:
-        name = info.parts[source.current_subimage()].name
         messages = f"{pending_message(source)}; {pending_message(output)}"
-        raise JaxblurIOError(
-            path, f"part {name!r} of {info.path} cannot be copied ({messages}); pass extra='drop'."
-        )
+        raise _not_copied(path, info, source.current_subimage(), messages)
+
+
+def _not_copied(path: PathLike, info: FileInfo, part: int, why: str) -> JaxblurIOError:
+    name = info.parts[part].name
+    return JaxblurIOError(
+        path, f"part {name!r} of {info.path} cannot be copied ({why}); pass extra='drop'."
+    )
 
 
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
@@ -344,12 +408,10 @@ def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
     if frame.path is None:
         velocity = np.asarray(frame.velocity, np.float32) * np.float32(2 / shutter)
         return {"velocity.X": velocity[..., 0], "velocity.Y": velocity[..., 1]}
-    ends = np.asarray(frame.path, np.float32)
-    linear = (ends[..., 1, :] - ends[..., 0, :]) / np.float32(shutter)
-    bend = (ends[..., 1, :] + ends[..., 0, :]) * np.float32(2 / shutter**2)
+    moved = vectors.from_path(np.asarray(frame.path, np.float32), shutter)
     return {
-        f"velocity.{side}.{axis}": (bend + sign * linear)[..., index]
-        for side, sign in (("previous", -1), ("next", 1))
+        f"velocity.{side}.{axis}": np.asarray(displacement)[..., index]
+        for side, displacement in (("previous", moved.previous), ("next", moved.next))
         for index, axis in enumerate("XY")
     }
 
