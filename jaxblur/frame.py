@@ -19,8 +19,9 @@ Pixels are ``row, column``; row 0 is the top. A surface point at pixel ``p`` cov
     half-spread = 1/2 * (displacement in pixels per frame) * (shutter in frames),
 
 and a frame at time ``t`` is the image at the center of the exposure ``[t - shutter/2,
-t + shutter/2]``. ``velocity`` and ``-velocity`` describe the same blur. With a ``path``,
-``velocity == (path[..., 1, :] - path[..., 0, :]) / 2``.
+t + shutter/2]``. ``velocity`` and ``-velocity`` describe the same blur. A
+``path`` knows of bends: half of the way between its ends is ``velocity`` for straight motion, and
+longer for what turns by more than the straight displacement between frames shows.
 """
 
 import dataclasses

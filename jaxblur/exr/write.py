@@ -11,7 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
-from jaxblur import srgb
+from jaxblur import srgb, vectors
 from jaxblur.text import printable
 
 from .atomic import check, replacing, writer

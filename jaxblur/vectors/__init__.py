@@ -10,7 +10,7 @@ and from there, for an exposure of ``shutter`` frames, to what `jaxblur.frame` a
 
     half-spread = 1/2 * shutter * (displacement per frame).
 
-Where a file holds both sides (Blender, Nuke), the path of a point is the parabola through its
+Where a file holds both sides (Blender, Nuke), the path of a point is the arc through its
 previous, present and next positions, and the frame gets its ends too (`to_half_spread`).
 
 Not sure which convention a file follows? `rank_conventions` warps the next frame back under
@@ -20,6 +20,7 @@ each candidate and ranks them by how well the pictures agree.
 from .convert import (
     Displacements as Displacements,
     check_shutter as check_shutter,
+    from_path as from_path,
     to_displacements as to_displacements,
     to_half_spread as to_half_spread,
 )

@@ -64,14 +64,15 @@ def to_half_spread(
 ) -> tuple[Float[np.ndarray, "height width 2"], Float[np.ndarray, "height width 2 2"] | None]:
     """Turn displacements per frame into the half-spread and, with both sides, the path.
 
-    With one side the motion is a straight line: ``velocity = shutter/2 * displacement``. With
-    both, the path is the parabola through the previous position a (t = -1), now (t = 0) and
-    the next position b (t = +1),
+    ``velocity = shutter/2 * displacement``, as the published filters define it; with both sides
+    the displacement is half of that from the previous position a (t = -1) to the next one b
+    (t = 1). The path goes through both: with l = (b - a)/2, c = (a + b)/2, and c split into
+    c1 along l and c2 across it, it is the arc
 
-        x(t) = t (b - a)/2 + t^2 (a + b)/2,
+        x(t) = l sin(w t)/sin(w) + c2 (1 - cos(w t))/(1 - cos(w)) + c1 t^2,  tan(w/2) = |c2|/|l|,
 
-    taken at t = -shutter/2 and +shutter/2; the half-spread is half their difference, which is
-    ``shutter/4 * (b - a)``: the curvature cancels in it.
+    taken at t = -shutter/2 and +shutter/2. Of a turning wheel that is the circle, which the
+    straight displacement cuts short; without c2 it is the parabola of an accelerated point.
 
     Args:
         displacements: as `to_displacements` returns them.
@@ -88,14 +89,67 @@ def to_half_spread(
     previous, following = displacements.previous, displacements.next
     half = np.float32(shutter / 2)
     if previous is not None and following is not None:
-        linear = half * (following - previous) / 2
-        bend = half**2 * (previous + following) / 2
-        return linear, np.stack([bend - linear, bend + linear], axis=-2)
+        return half * (following - previous) / 2, _arc(previous, following, shutter / 2)
     if following is not None:
         return half * following, None
     if previous is not None:
         return -half * previous, None
     raise ValueError("`displacements` must hold the previous or the next side, got neither.")
+
+
+_WIDEST = 2 / 3 * np.pi
+"""Radians per frame. Of a point that turns farther than this it is not known which way it went."""
+
+
+def _arc(
+    previous: Float[np.ndarray, "height width 2"],
+    following: Float[np.ndarray, "height width 2"],
+    half: float,
+) -> Float[np.ndarray, "height width 2 2"]:
+    """Displacements at the times -half and half on the arc of `to_half_spread`."""
+    line, along, across, ratio = _parts(previous, following)
+    tangent, bend = _scales(2 * np.arctan(ratio), half)
+    end, sagitta = tangent * line, bend * across + np.float32(half**2) * along
+    return np.stack([sagitta - end, sagitta + end], axis=-2)
+
+
+def from_path(path: Float[np.ndarray, "height width 2 2"], shutter: float) -> Displacements:
+    """Find displacements over full frames whose path is the given one, see `to_half_spread`.
+
+    Args:
+        path: displacement at shutter opening and closing in pixels.
+        shutter: exposure in frames, > 0.
+
+    Returns:
+        Displacements to both sides.
+    """
+    half = shutter / 2
+    line, along, across, ratio = _parts(path[..., 0, :], path[..., 1, :])
+    tangent, bend = _scales(2 * np.arctan(ratio) / half, half)
+    line, rest = line / tangent, across / bend + along / np.float32(half**2)
+    return Displacements(rest - line, rest + line)
+
+
+def _parts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Half of the chord, what is left along it and across it, and the ratio of the latter."""
+    line, rest = (last - first) / 2, (last + first) / 2
+    squared = np.sum(line * line, axis=-1, keepdims=True)
+    along = np.sum(line * rest, axis=-1, keepdims=True) / np.where(squared > 0, squared, 1) * line
+    across = rest - along
+    # A point that comes back to where it was has no chord: the widest angle.
+    steep = np.linalg.norm(across, axis=-1, keepdims=True)
+    ratio = steep / np.sqrt(np.where(squared > 0, squared, 1))
+    return line, along, across, np.where(squared > 0, ratio, np.where(steep > 0, np.inf, 0))
+
+
+def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
+    """By how much chord and sagitta of a turn by an angle shrink for a share ``half`` of it."""
+    curved = angle > 1e-3
+    # Below a thousandth the parabola is the same in float32, and nothing is divided by zero.
+    angle = np.where(curved, np.minimum(angle, np.float32(_WIDEST)), 1)
+    tangent = np.where(curved, np.sin(half * angle) / np.sin(angle), half)
+    bend = np.where(curved, (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2, half**2)
+    return tangent.astype(np.float32), bend.astype(np.float32)
 
 
 def check_shutter(shutter: float, argument: str) -> None:
