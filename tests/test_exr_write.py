@@ -3,7 +3,7 @@
 import os
 import re
 import stat
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio
@@ -330,7 +330,11 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
     prefix = "" if parts == 1 else "data."
     names = f"{prefix}velocity.X (1 pixels), {prefix}velocity.Y (1 pixels)"
     image = np.full((4, 6, 3), 0.5, np.float32)
-    for policy, words, value in (("keep", "copied as they are", np.nan), ("zero", "set to 0", 0)):
+    policies: tuple[tuple[Literal["keep", "zero"], str, float], ...] = (
+        ("keep", "copied as they are", np.nan),
+        ("zero", "set to 0", 0),
+    )
+    for policy, words, value in policies:
         out = tmp_path / f"{policy}.exr"
         with pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}")):
             exr.write_image(out, image, like=source, nonfinite=policy)
