@@ -308,8 +308,8 @@ def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
     }
     stages.check_output(arguments.output)
     output = parse_names(placed(arguments.output))
-    beside = [output.with_suffix(".png")] if arguments.png and output.after != ".png" else []
-    return sources, [output, *beside]
+    with_png = arguments.png and arguments.output.suffix.lower() != ".png"
+    return sources, [output, *([output.with_suffix(".png")] if with_png else [])]
 
 
 def _frames_on_disk(names: Any) -> list[int]:

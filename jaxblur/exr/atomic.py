@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pathlib
+import re
 import secrets
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -10,6 +11,12 @@ from typing import Any
 import OpenImageIO as oiio
 
 from .files import JaxblurIOError, PathLike, pending_message
+
+try:
+    import fcntl
+except ImportError:
+    # Windows: temporary files of killed processes stay.
+    fcntl = None
 
 
 @contextlib.contextmanager
@@ -29,17 +36,48 @@ def replacing(path: PathLike) -> Iterator[str]:
     if target.is_dir():
         raise JaxblurIOError(path, "is a folder; give a file name.")
     temporary = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
+    descriptor = None
     try:
+        _remove_orphans(target)
         # Created here, so that the file gets the permissions that the umask leaves.
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        descriptor = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        _lock(descriptor)
         yield os.fspath(temporary)
-        _sync(temporary)
+        os.fsync(descriptor)
         os.replace(temporary, target)
         _sync(target.parent)
     except OSError as error:
         raise JaxblurIOError(path, f"cannot be written: {error.strerror or error}.") from error
     finally:
+        if descriptor is not None:
+            os.close(descriptor)
         temporary.unlink(missing_ok=True)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock a temporary file for as long as this process lives; False if another one has it."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    # Held by a living process, or a file system without locks: then nothing is ever removed.
+    except OSError:
+        return False
+    return True
+
+
+def _remove_orphans(target: pathlib.Path) -> None:
+    """Remove temporary files of a target whose processes were killed."""
+    pattern = re.compile(rf"\.{re.escape(target.stem)}\.[0-9a-f]{{8}}{re.escape(target.suffix)}")
+    for name in filter(pattern.fullmatch, os.listdir(target.parent)):
+        orphan = target.parent / name
+        with contextlib.suppress(FileNotFoundError):
+            descriptor = os.open(orphan, os.O_WRONLY)
+            try:
+                if _lock(descriptor):
+                    orphan.unlink(missing_ok=True)
+            finally:
+                os.close(descriptor)
 
 
 def _sync(path: pathlib.Path) -> None:

@@ -20,6 +20,7 @@ from .pipeline import Outcome, Stage, run_stages
 
 LOG = logging.getLogger("jaxblur")
 LOCAL = "local"
+CONNECT_SECONDS = 5
 # No limit of memory: a worker near it would be paused, then killed.
 LOCAL_OPTIONS: dict[str, Any] = {
     "threads_per_worker": 1,
@@ -58,7 +59,7 @@ def run_cluster(
             for job in jobs
         }
         try:
-            for future in as_completed(list(futures)):
+            for future in as_completed(list(futures), loop=client.loop):
                 yield _outcome(future, futures[future])
         finally:
             client.cancel(list(futures))
@@ -102,7 +103,7 @@ def _client(scheduler: str, workers: int) -> Iterator[Any]:
         if scheduler == LOCAL:
             address = stack.enter_context(LocalCluster(n_workers=workers, **LOCAL_OPTIONS))
         try:
-            client = Client(address, set_as_default=False, timeout=10)
+            client = Client(address, set_as_default=False, timeout=CONNECT_SECONDS)
         except (OSError, ValueError) as error:
             raise ValueError(
                 f"`scheduler`: {scheduler} does not answer; give local or the address that "

@@ -34,7 +34,7 @@ class FrameNames:
 
     def with_suffix(self, suffix: str) -> "FrameNames":
         """The same names with another extension."""
-        return dataclasses.replace(self, after=os.path.splitext(self.after)[0] + suffix)
+        return dataclasses.replace(self, after=self.after.rpartition(".")[0] + suffix)
 
     def frames_on_disk(self) -> list[int]:
         """List the frames that are there, in order.
