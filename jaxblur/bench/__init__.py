@@ -1,41 +1,11 @@
 """Speed against error: measure filters on frames with their truth, and guard against regressions.
 
-`measure` times cases (a method with its settings) in turn on a subject (a frame); `results` keeps
-the rows in a CSV file that is whole at every moment; `report` makes the front that nothing beats;
-`compare` tells two files apart by more than noise; `scaling` fits how time grows.
+`measure` times cases (a method with its settings) in turn on a subject (a frame); `write_rows`
+keeps the rows in a CSV file that is whole at every moment; `report` makes the front that nothing
+beats; `compare` tells two files apart by more than noise; `fit_power_law` says how time grows.
+Names load on first use, so that timing needs no image library.
 """
 
-from .cases import (
-    RENDERERS as RENDERERS,
-    UNBLURRED as UNBLURRED,
-    Case as Case,
-    make_case as make_case,
-    one_at_a_time as one_at_a_time,
-    product as product,
-)
-from .compare import Change as Change, compare as compare
-from .frames import moving_frame as moving_frame
-from .jobs import batches as batches, catalogue_jobs as catalogue_jobs
-from .measure import measure as measure
-from .programs import Programs as Programs
-from .report import (
-    by_scene as by_scene,
-    front as front,
-    points as points,
-    pooled as pooled,
-    report as report,
-)
-from .results import (
-    Row as Row,
-    identity as identity,
-    latest as latest,
-    read_rows as read_rows,
-    write_rows as write_rows,
-)
-from .scaling import PowerLaw as PowerLaw, fit_power_law as fit_power_law
-from .subjects import (
-    Subject as Subject,
-    catalogue_subject as catalogue_subject,
-    frame_subject as frame_subject,
-)
-from .timing import Timing as Timing, time_in_turn as time_in_turn
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -112,7 +112,7 @@ def calibration() -> Callable[[], Any]:
 
     @jax.jit
     def work(table: jax.Array) -> jax.Array:
-        pixel = jnp.arange(200 * 320, dtype=jnp.int32).reshape(200, 320, 1)
+        pixel = jnp.arange(400 * 640, dtype=jnp.int32).reshape(400, 640, 1)
         index = (pixel * 40503 + jnp.arange(32, dtype=jnp.int32) * 30011) & 0xFFFF
         return jnp.sum(jnp.clip(1 - table[index] * table[pixel & 0xFFFF], 0, 1), axis=-1)
 

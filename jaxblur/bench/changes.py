@@ -17,6 +17,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+from .cases import UNBLURRED
 from .results import Figures, Row, latest
 
 ERRORS = 3.0
@@ -75,7 +76,7 @@ def compare(old: Sequence[Row], new: Sequence[Row], tolerance: float = 0.1) -> l
     return [
         _change(before[row.identity].figures, row, tolerance)
         for row in latest(new)
-        if row.identity in before and row.figures.ms
+        if row.identity in before and row.figures.ms and row["method"] != UNBLURRED
     ]
 
 

@@ -1,0 +1,109 @@
+"""What the papers say about speed, as ratios, beside the same ratios here."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from jaxblur.bench import Row
+
+from . import plan
+
+GUERTIN_TABLE = {
+    # N: (720p, 720p one direction, 1080p, 1080p one direction), ms on a GTX 780.
+    19: (1.11, 0.93, 1.96, 2.06),
+    27: (1.41, 1.19, 3.17, 2.71),
+    35: (1.68, 1.52, 3.77, 3.44),
+    47: (2.18, 2.02, 4.91, 4.54),
+}
+"""Guertin et al. 2014, table 3.I. The 1.96 ms of N = 19 at 1080p is less than one direction took,
+and far from the 2.25 times of the other lines: probably a slip."""
+MCGUIRE_TIMES = {31: 6.2, 15: 3.0, 7: 2.8, 5: 2.7}
+"""McGuire et al. 2012, section 3: ms at 1280x720 on a GeForce 480, by k samples."""
+
+
+class Claim(NamedTuple):
+    """A ratio.
+
+    Attributes:
+        what: in words.
+        published: by the paper.
+        ours: measured, None if it was not.
+        noise: half width of our interquartile range, as a share.
+    """
+
+    what: str
+    published: float
+    ours: float | None
+    noise: float | None
+
+
+Times = Callable[..., tuple[float, float] | None]
+
+
+def _times(rows: Sequence[Row]) -> Times:
+    """Look a calibrated time up, and its relative interquartile range."""
+
+    def look_up(method: str, size: tuple[int, int], **settings: Any) -> tuple[float, float] | None:
+        wanted = plan.make_case(method, **settings)
+        for row in rows:
+            same_size = (row["height"], row["width"]) == tuple(map(str, size))
+            if row["scene"] == plan.MOVING_SCENE and same_size and row["method"] == method:
+                figures = row.figures
+                if row.case == wanted and figures.ms and figures.calibration_ms:
+                    return figures.ms / figures.calibration_ms, (figures.ms_iqr or 0) / figures.ms
+        return None
+
+    return look_up
+
+
+def _claim(what: str, published: float, over: Any, under: Any) -> Claim:
+    if over is None or under is None:
+        return Claim(what, published, None, None)
+    return Claim(what, published, over[0] / under[0], (over[1] + under[1]) / 2)
+
+
+def claims(rows: Sequence[Row], sizes: Sequence[tuple[int, int]]) -> list[Claim]:
+    """Every claim with our ratio.
+
+    Args:
+        rows: of results.
+        sizes: that stand for 720p and 1080p.
+
+    Returns:
+        The claims, in the order of the papers.
+    """
+    times, (small, large) = _times(rows), sizes
+    return [*_guertin_claims(times, small, large), *_mcguire_claims(times, small)]
+
+
+def _guertin_claims(times: Times, small: tuple[int, int], large: tuple[int, int]) -> list[Claim]:
+    found = []
+    columns = {0: ("720p", small), 2: ("1080p", large)}
+
+    def ours(size: tuple[int, int], samples: int, directions: str = "two") -> Any:
+        return times("guertin2014", size, samples=samples, directions=directions)
+
+    for column, (name, size) in columns.items():
+        ratio = GUERTIN_TABLE[47][column] / GUERTIN_TABLE[19][column]
+        what = f"guertin2014, N = 47 to 19, {name}"
+        found.append(_claim(what, ratio, ours(size, 47), ours(size, 19)))
+    for samples, line in GUERTIN_TABLE.items():
+        label = f"guertin2014, N = {samples}"
+        sizes = ours(large, samples), ours(small, samples)
+        found.append(_claim(f"{label}, 1080p to 720p", line[2] / line[0], *sizes))
+        for column, (name, size) in columns.items():
+            what = f"{label}, two directions to one, {name}"
+            both = ours(size, samples), ours(size, samples, "one")
+            found.append(_claim(what, line[column] / line[column + 1], *both))
+    return found
+
+
+def _mcguire_claims(times: Times, size: tuple[int, int]) -> list[Claim]:
+    return [
+        _claim(
+            f"mcguire2012, k = {more} to {fewer}, 720p",
+            MCGUIRE_TIMES[more] / MCGUIRE_TIMES[fewer],
+            times("mcguire2012", size, samples=more),
+            times("mcguire2012", size, samples=fewer),
+        )
+        for more, fewer in ((31, 15), (15, 7), (7, 5), (15, 5))
+    ]

@@ -1,0 +1,99 @@
+"""The plots: time against error, and how time grows."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxblur import bench, show
+from jaxblur.bench import Row
+from jaxblur.bench.fronts import Point, drawn
+from jaxblur.bench.scaling import FACTORS
+
+ERROR_LABELS = {"flip": "FLIP where it moves", "rmse": "RMS error where it moves"}
+COLUMNS = 2
+
+
+def draw_fronts(path: Path, groups: Mapping[str, Sequence[Point]], error: str) -> None:
+    """Time against error on logarithmic axes, one plot for each group.
+
+    Args:
+        path: of the PNG.
+        groups: points by title.
+        error: ``flip`` or ``rmse``.
+    """
+    lines = -(-len(groups) // COLUMNS)
+    figure = Figure(figsize=(8 * COLUMNS, 5 * lines), layout="constrained")
+    cells = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
+    for cell in cells[len(groups) :]:
+        cell.remove()
+    for cell, (title, found) in zip(cells, groups.items(), strict=False):
+        measurements = [p.measurement(error) for p in drawn(found, error)]
+        show.pareto(measurements, error_label=ERROR_LABELS[error], axes=cell)
+        cell.set_title(title)
+        for point in found:
+            if point.case.method == bench.UNBLURRED:
+                cell.axhline(getattr(point, error), color="gray", linestyle=":", linewidth=1)
+                cell.annotate(
+                    "unblurred",
+                    (1, getattr(point, error)),
+                    fontsize="x-small",
+                    xycoords=("axes fraction", "data"),
+                    ha="right",
+                    va="bottom",
+                )
+    figure.savefig(path, dpi=80)
+
+
+def draw_growth(path: Path, rows: Sequence[Row]) -> None:
+    """Time against pixels, samples and radius; lines join what differs in nothing else.
+
+    Args:
+        path: of the PNG.
+        rows: of the scene in which everything moves.
+    """
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    for cell, (name, factor) in zip(figure.subplots(1, len(FACTORS)), FACTORS.items(), strict=True):
+        lines: dict[Any, list[tuple[float, float, float]]] = {}
+        for row in rows:
+            if row.figures.ms:
+                point = factor(row), row.figures.ms, row.figures.ms_iqr or 0.0
+                lines.setdefault(_but(row, name), []).append(point)
+        methods = sorted({key[0] for key in lines})
+        for key, points in lines.items():
+            if len({x for x, *_ in points}) > 2:
+                x, y, spread = np.array(sorted(points)).T
+                number = methods.index(key[0])
+                label = " ".join(key[:1]) + _others(key, name)
+                cell.errorbar(
+                    x,
+                    y,
+                    spread / 2,
+                    marker="o",
+                    markersize=3,
+                    linewidth=1,
+                    color=f"C{number}",
+                    alpha=0.5 + 0.5 * (len(points) > 3),
+                    label=label,
+                )
+        cell.set(xscale="log", yscale="log", xlabel=name, ylabel="ms")
+        cell.grid(which="both", alpha=0.2)
+        cell.legend(fontsize="x-small")
+    figure.savefig(path, dpi=90)
+
+
+def _but(row: Row, factor: str) -> tuple[str, ...]:
+    """What a line of a plot has in common: everything but one factor."""
+    parts = {
+        "pixels": f"{row['width']}x{row['height']}",
+        "samples": f"N={row['samples']}",
+        "radius": f"r={row['radius']}",
+    }
+    parts[factor] = ""
+    return (row["method"], *parts.values())
+
+
+def _others(key: tuple[str, ...], factor: str) -> str:
+    return "".join(f", {part}" for part in key[1:] if part)

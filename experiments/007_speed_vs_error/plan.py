@@ -1,0 +1,180 @@
+"""What is measured, in which order: the sub-grid of the default run, the quick one, the product."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments import common
+from jaxblur import bench
+from jaxblur.bench import Case, Subject, make_case
+from jaxblur.filters import FILTERS
+
+Job = tuple[Subject, Case]
+
+SAMPLES = (5, 9, 15, 19, 27, 35, 47, 64)
+AXES = {
+    "samples": SAMPLES,
+    "radius": ("auto", 20, 40, 80),
+    "fetch": ("nearest", "bilinear"),
+    "tile_choice": ("stochastic", "own", "expected"),
+}
+SIZES = ((180, 320), (360, 640), (540, 960), (720, 1280), (1080, 1920))
+SHUTTER = 1.0
+MOVING_SCENE = "camera_turn"
+"""Everything moves in it, as in the frames that the papers timed."""
+SPEED_SAMPLES = (15, 35)
+EVERY_TILE = "every tile moves"
+
+
+@dataclasses.dataclass(frozen=True)
+class Extent:
+    """How much is measured.
+
+    Attributes:
+        scenes: of the catalogue, judged against their truth.
+        size: (height, width) of these.
+        truth_samples: images that make a truth.
+        axes: values by setting.
+        combined: values whose product is taken too.
+        sizes: that are timed with all filters.
+        growth: values that are timed at the second of the sizes.
+        claim_sizes: the two sizes of the paper's table, or smaller ones with their ratio.
+        claim_samples: of guertin2014 and of mcguire2012, from the papers' tables.
+        renderers: numbers of samples by renderer.
+        reference_samples: tried on rendered reference frames.
+        reference_scenes: number of these.
+        alternatives_size: of the frame that other libraries blur.
+        repeats: times that each case is timed.
+    """
+
+    scenes: Sequence[str]
+    size: tuple[int, int]
+    truth_samples: int
+    axes: dict[str, Sequence]
+    combined: dict[str, Sequence]
+    sizes: Sequence[tuple[int, int]]
+    growth: dict[str, Sequence]
+    claim_sizes: Sequence[tuple[int, int]]
+    claim_samples: tuple[Sequence[int], Sequence[int]]
+    renderers: dict[str, Sequence[int]]
+    reference_samples: Sequence[int]
+    reference_scenes: int
+    alternatives_size: tuple[int, int]
+    repeats: int
+
+
+DEFAULT = Extent(
+    scenes=("cube_between_crates", "rotation_stress", "camera_dolly", "crossing"),
+    size=(180, 320),
+    truth_samples=128,
+    axes=AXES,
+    combined={
+        "samples": (15, 35),
+        "radius": (20,),
+        "fetch": AXES["fetch"],
+        "tile_choice": AXES["tile_choice"],
+    },
+    sizes=SIZES,
+    growth={"samples": (5, 9, 15, 27, 47, 64), "radius": (10, 20, 40, 80)},
+    claim_sizes=((720, 1280), (1080, 1920)),
+    claim_samples=((19, 27, 35, 47), (5, 7, 15, 31)),
+    renderers={
+        "accumulate": (2, 4, 8, 16, 32, 64),
+        "stochastic": (2, 4, 8, 16, 32, 64),
+        "motion_paths": (1, 2, 4),
+    },
+    reference_samples=(5, 9, 15, 27, 47, 64),
+    reference_scenes=4,
+    alternatives_size=(720, 1280),
+    repeats=9,
+)
+QUICK = Extent(
+    scenes=("crossing", "camera_turn"),
+    size=(90, 160),
+    truth_samples=32,
+    axes={"samples": (9, 35), "fetch": ("bilinear",)},
+    combined={},
+    sizes=((90, 160), (180, 320)),
+    growth={"samples": (5, 64), "radius": (10, 80)},
+    claim_sizes=((180, 320), (270, 480)),
+    claim_samples=((19, 47), (5, 15, 31)),
+    renderers={"accumulate": (2, 8, 32)},
+    reference_samples=(),
+    reference_scenes=1,
+    alternatives_size=(360, 640),
+    repeats=5,
+)
+FULL = dataclasses.replace(
+    DEFAULT,
+    scenes=(*DEFAULT.scenes, "gears", "opposed"),
+    combined=AXES,
+    growth={"samples": SAMPLES, "radius": (10, 20, 40, 80)},
+    reference_samples=SAMPLES,
+)
+"""The product of all values on more scenes: a day rather than an hour."""
+
+
+def scene_jobs(extent: Extent) -> list[Job]:
+    """Every filter on scenes with their truth: one change at a time, and a small product."""
+    methods = [bench.UNBLURRED, *FILTERS]
+    cases = bench.one_at_a_time(methods, extent.axes)
+    if extent.combined:
+        cases += bench.product(FILTERS, extent.combined)
+    for method, numbers in extent.renderers.items():
+        cases += bench.product([method], {"samples": numbers})
+    cases = list(dict.fromkeys(cases))
+    return [(_scene(name, extent), case) for name in extent.scenes for case in cases]
+
+
+def _scene(name: str, extent: Extent) -> Subject:
+    return bench.catalogue_subject(name, extent.size, SHUTTER, extent.truth_samples)
+
+
+def claim_jobs(extent: Extent) -> list[Job]:
+    """What the papers timed, at their sizes, each size in one batch."""
+    for_guertin, for_mcguire = extent.claim_samples
+    axes = {"directions": ("two", "one"), "samples": for_guertin}
+    cases = bench.product(["guertin2014"], axes)
+    cases += bench.product(["mcguire2012"], {"samples": for_mcguire})
+    return [(_timed(size), case) for size in extent.claim_sizes for case in cases]
+
+
+def growth_jobs(extent: Extent) -> list[Job]:
+    """Every filter at every size, and on one size with every number of samples and radius."""
+    by_size = bench.product(FILTERS, {"samples": SPEED_SAMPLES})
+    jobs = [(_timed(size), case) for size in extent.sizes for case in by_size]
+    varied = bench.one_at_a_time(FILTERS, extent.growth)
+    return jobs + [(_timed(extent.sizes[1]), case) for case in varied]
+
+
+def _timed(size: tuple[int, int]) -> Subject:
+    return bench.catalogue_subject(MOVING_SCENE, size, SHUTTER, truth_samples=0)
+
+
+def reference_jobs(extent: Extent, folder: Path) -> list[Job]:
+    """Every filter on rendered reference frames in full size."""
+    methods = [bench.UNBLURRED, *FILTERS]
+    cases = bench.one_at_a_time(methods, {"samples": extent.reference_samples})
+    examples = common.cycles_examples(folder, common.FULL_WIDTH)[: extent.reference_scenes]
+    return [
+        (bench.frame_subject(example.name, example.frame, example.truth), case)
+        for example in examples
+        for case in cases
+    ]
+
+
+def alternative_jobs(extent: Extent, alternatives: Sequence[str]) -> list[Job]:
+    """guertin2014 by every backend of ours and by other libraries, on one frame."""
+    subject = bench.frame_subject(EVERY_TILE, bench.moving_frame(*extent.alternatives_size))
+    plain = {"noise": "none"}
+    cases = [
+        make_case("guertin2014", samples=samples, backend=backend, **plain)
+        for samples in SPEED_SAMPLES
+        for backend in ("auto", "xla")
+    ]
+    cases += [
+        make_case(name, samples=samples, **plain)
+        for name in alternatives
+        for samples in SPEED_SAMPLES
+    ]
+    return [(subject, case) for case in cases]
