@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ARROWS_ACROSS = 32
+ARROWS_ACROSS = 20
 SKY_COLOR = "lightsteelblue"
 WHEEL_SHARE = 0.28
 """Of the height of a picture that the legend of a velocity takes."""
@@ -29,7 +29,7 @@ def frame_sheet(frame: Frame) -> "Figure":
         The figure.
     """
     height, width = frame.depth.shape
-    figure = new_figure(9.0, 9.6 * height / width + 0.6)
+    figure = new_figure(9.0, 8.6 * height / width + 0.6)
     (color, depth), (colors, arrows) = figure.subplots(2, 2)
     show_pixels(color, display(frame.color), f"color, {width} x {height}, linear light")
     depth_map(frame, axes=depth)
@@ -135,7 +135,7 @@ def velocity_arrows(
 
     Args:
         frame: one frame.
-        spacing: pixels between arrows; 32 arrows across the picture if None.
+        spacing: pixels between arrows; 20 arrows across the picture if None.
         axes: where to draw.
 
     Returns:

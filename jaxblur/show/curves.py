@@ -48,8 +48,8 @@ def curves(
     figure, axes = figure_and_axes(axes)
     for name, (across, up) in lines.items():
         axes.plot(np.asarray(across), np.asarray(up), "o-", markersize=3, label=name or None)
-    for name, place in (marks or {}).items():
-        axes.axvline(place, linestyle="--", color="gray", label=name or None)
+    for number, (name, place) in enumerate((marks or {}).items(), start=len(lines)):
+        axes.axvline(place, linestyle="--", color=f"C{number % 10}", label=name or None)
     for name, level in (levels or {}).items():
         axes.axhline(level, linestyle=":", color="gray", label=name or None)
     axes.set(xlabel=x, ylabel=y, title=title)

@@ -240,7 +240,9 @@ def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str
             axes.plot(*ends.T, color=color, alpha=alpha, linewidth=1.2, label=named)
             axes.plot(*(middle + taps.offset[choice, mine]).T, "x", color=color, alpha=alpha)
     velocity = np.asarray(frame.velocity)[row, column]
-    draw_streaks(axes, [column], [row], velocity[None], color=OWN_COLOR, label="own velocity")
+    draw_streaks(
+        axes, [column], [row], velocity[None], color=OWN_COLOR, label="own velocity", zorder=3
+    )
     axes.legend(fontsize="x-small", loc="upper right")
 
 

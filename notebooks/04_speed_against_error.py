@@ -1,0 +1,132 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Speed against error
+#
+# More taps cost more time. Which settings are worth theirs? The picture below is small and its times
+# are those of the machine that ran the notebook, busy or not: read the shape, not the numbers. For
+# numbers there is `jaxblur bench` and the experiments.
+
+# %%
+import dataclasses
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxblur
+from jaxblur import exr, metrics, show
+from jaxblur.filters import PUBLISHED
+
+# %matplotlib inline
+# %config InlineBackend.figure_formats = ["jpeg"]
+
+DATA = Path("../tests/data")
+frame = jaxblur.read_frame(DATA / "cube_over_crates_frame_0011.exr", shutter=0.5)
+truth = exr.read_image(DATA / "cube_over_crates_truth_0011.exr")
+
+# %% [markdown]
+# ## Measure
+#
+# Compilation is not counted: the first call compiles, then the shortest of several calls is taken,
+# because a machine can only ever make a run slower.
+
+# %%
+ROUNDS = 7
+STARS = ("guertin2014", "mcguire2012")  # whose defaults are what their authors published
+PARAMETERS = jaxblur.GuertinParameters(depth_sharpness=10.0)
+
+
+def milliseconds(function):
+    jax.block_until_ready(function())
+    times = []
+    for _ in range(ROUNDS):
+        started = time.perf_counter()
+        jax.block_until_ready(function())
+        times.append(1000 * (time.perf_counter() - started))
+    return min(times)
+
+
+def measure(name, parameters, label, published=False, **settings):
+    chosen = jaxblur.Settings(**settings)
+
+    def run():
+        return jaxblur.FILTERS[name](frame, parameters, settings=chosen)
+
+    error = metrics.compare(run(), truth).flip
+    return show.Measurement(label, milliseconds(run), error, name, published)
+
+
+points = [
+    measure("guertin2014", PARAMETERS, f"{samples} taps", samples=samples, radius=20)
+    for samples in (3, 7, 15, 35)
+]
+points += [
+    measure("pixel_velocity", None, f"{samples} taps", samples=samples, radius=20)
+    for samples in (5, 15)
+]
+points += [
+    measure(name, defaults, "defaults", name in STARS, **dataclasses.asdict(usual))
+    for name, (defaults, usual) in PUBLISHED.items()
+]
+show.pareto(points, time_label="milliseconds, 160 x 112 pixels", labels="all")
+
+# %% [markdown]
+# The gray line is the front: nothing is both quicker and better than a point on it. Two things are
+# worth knowing about such pictures. Error levels off: beyond some number of taps a filter is wrong
+# for reasons that taps do not mend. And FLIP is a mean over the frame: `pixel_velocity` can score
+# well and still cut blur off at the outline of a moving object, which a viewer sees at once.
+
+# %%
+for point in show.pareto_front(points):
+    print(f"{point.group:15} {point.label:14} {point.time:6.2f} ms  FLIP {point.error:.4f}")
+
+# %% [markdown]
+# ## Look at what was paid for
+#
+# Three taps are grain. `pixel_velocity` looks smooth, but its cube ends where the sharp cube ends: a
+# pixel of the wall has no velocity, so nothing of the cube ever blurs over it.
+
+# %%
+images = {
+    f"guertin2014, {samples} taps": jaxblur.guertin2014(
+        frame, PARAMETERS, settings=jaxblur.Settings(samples=samples, radius=20)
+    )
+    for samples in (3, 35)
+}
+plain = jaxblur.pixel_velocity(frame, None, settings=jaxblur.Settings(samples=15, radius=20))
+show.image_grid(images | {"pixel_velocity, 15 taps": plain, "truth": truth}, columns=4, width=12)
+
+# %% [markdown]
+# ## Let the frame choose
+#
+# `plan` looks at speeds, angles and depth layers of a frame and picks the cheapest filter that it
+# expects to stay within a tolerance. It says why, and what it expects to lose.
+
+# %%
+planned = jaxblur.plan(frame, tolerance_db=0.5)
+print(planned.reason)
+result = jaxblur.FILTERS[planned.filter](frame, planned.parameters, settings=planned.settings)
+full = jaxblur.guertin2014(frame, PARAMETERS, settings=jaxblur.Settings(samples=35, radius=20))
+for name, image in {"planned": result, "full filter": full}.items():
+    print(f"{name:12} PSNR {metrics.compare(image, truth).psnr:.2f} dB")
+
+# %% [markdown]
+# A radius longer than the fastest pixel only makes tiles larger; `jaxblur blur --radius auto` takes
+# it from the frame, and so does this:
+
+# %%
+print(jaxblur.vectors.speed_statistics(np.asarray(frame.velocity)).suggested_radius, "px")
