@@ -35,5 +35,9 @@ from .tiles import (
     tile_max as tile_max,
     tile_variance as tile_variance,
 )
+from .velocity_encoding import (
+    decode_velocity as decode_velocity,
+    encode_velocity as encode_velocity,
+)
 
 __version__: str

@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "report": LOWEST | {"exr", "metrics", "show"},
     "bench": CORE | JUDGES | {"exr", "vectors", "show"},
     "fitting": CORE | JUDGES | FILES | {"show", "batch"},
+    "velocity_encoding": LOWEST | {"tiles"},
     "planning": LOWEST | {"tiles", "filters", "vectors"},
     **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | MIDDLE),
     "__main__": {"cli"},

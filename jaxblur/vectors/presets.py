@@ -251,6 +251,19 @@ _ALL = (
         source="RE:Vision 16 bit: 0..65534, 32767 at rest, times MaxDisplace, y up (same).",
     ),
     Preset(
+        "guertin8",
+        _one_pair(_GENERIC, 1, 1, 1),
+        scale="max-displace",
+        offset=128 / 255,
+        gain=2 * 255 / 127,
+        span="shutter",
+        verified=True,
+        source=(
+            "8 bit as `encode_velocity` writes: half-spread over the shutter, 128 at rest, times "
+            "the radius (MaxDisplace), y down (Guertin et al. 2014, section 3.5)."
+        ),
+    ),
+    Preset(
         "toxik",
         _one_pair(_spellings("mv2DToxik"), 1, 1, -1),
         named=True,

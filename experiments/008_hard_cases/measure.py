@@ -1,0 +1,285 @@
+"""What is measured of one filter on one hard case."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxblur
+from jaxblur.filters import FILTERS, PUBLISHED
+
+STEP, ASIDE = 1e-7, 1e-3
+"""Step of finite differences in float64, and how far beside a kink they are taken; of velocities
+in pixels or as a share of them, of depths and parameters as a share."""
+
+SAME = 1e-3
+"""Two derivatives agree within this share of the largest in the image."""
+
+FLIPPED = 1e-4
+"""Relative error that rounding alone cannot make: a tap was read one texel further, or a
+comparison went the other way."""
+
+Inputs = dict[str, Any]
+
+
+class Setup(NamedTuple):
+    """A filter and its settings; hashable, one compilation for each shape and type.
+
+    Attributes:
+        name: a key of `jaxblur.FILTERS`.
+        settings: static settings.
+    """
+
+    name: str
+    settings: jaxblur.Settings
+
+
+class Numbers(NamedTuple):
+    """One row of figures.
+
+    Attributes:
+        finite_value: every value is finite.
+        finite_gradient: every derivative is, reverse and forward, of every input.
+        error: largest difference between float32 and float64 where nothing flipped, as a share of
+            the largest color.
+        flipped: share of the values where it is larger than `FLIPPED`.
+        gradient_error: 99th percentile of the same for the reverse-mode gradient beside the
+            kink, as a share of its largest value; the worst input.
+        modes: difference between reverse and forward mode in float64, as a share.
+        wrong: share of values beside the kink where the derivative is not the central difference.
+        jumps: share of values beside it at which the filter itself jumps within the step.
+    """
+
+    finite_value: bool
+    finite_gradient: bool
+    error: float
+    flipped: float
+    gradient_error: float
+    modes: float
+    wrong: float
+    jumps: float
+
+
+def call(setup: Setup, inputs: Inputs, noise: jaxblur.Noise | None = None) -> jax.Array:
+    """Run the filter on a dict of color, depth, velocity, parameters and perhaps valid."""
+    buffers = {name: inputs[name] for name in ("color", "depth", "velocity")}
+    frame = jaxblur.Frame(**buffers, valid=inputs.get("valid"))
+    parameters = PUBLISHED[setup.name][0]
+    if parameters is not None:
+        parameters = dataclasses.replace(parameters, **inputs["parameters"])
+    return FILTERS[setup.name](frame, parameters, settings=setup.settings, noise=noise)
+
+
+def as_inputs(setup: Setup, frame: jaxblur.Frame, dtype: str) -> Inputs:
+    """The inputs that can be differentiated, in one type."""
+    record = PUBLISHED[setup.name][0]
+    values = {} if record is None else dataclasses.asdict(record)
+    inputs: Inputs = {
+        name: jnp.asarray(getattr(frame, name), dtype) for name in ("color", "depth", "velocity")
+    }
+    inputs["parameters"] = {name: jnp.asarray(value, dtype) for name, value in values.items()}
+    if frame.valid is not None:
+        inputs["valid"] = jnp.asarray(frame.valid, dtype)
+    return inputs
+
+
+def directions(inputs: Inputs, seed: int = 5) -> Inputs:
+    """A random direction for every input; depth and parameters by a share of themselves."""
+    generator = np.random.default_rng(seed)
+
+    def draw(value, relative):
+        noise = jnp.asarray(generator.normal(size=np.shape(value)), value.dtype)
+        scale = jnp.where(jnp.isfinite(value), value, 0) if relative else 1
+        return noise * scale
+
+    moves = {name: draw(inputs[name], name == "depth") for name in ("color", "depth", "velocity")}
+    moves["parameters"] = {
+        name: draw(value, True) for name, value in sorted(inputs["parameters"].items())
+    }
+    return moves
+
+
+def beside(inputs: Inputs) -> Inputs:
+    """The inputs moved a little to where no two values are equal, in their own type."""
+    moves = directions(inputs, seed=6)
+    moves["velocity"] = moves["velocity"] * (1 + jnp.abs(inputs["velocity"]))
+    free, fixed = _split(inputs)
+    moved = jax.tree.map(
+        lambda value, move: (value + ASIDE * move).astype(value.dtype), free, moves
+    )
+    return moved | fixed
+
+
+def _split(inputs: Inputs) -> tuple[Inputs, Inputs]:
+    fixed = {name: value for name, value in inputs.items() if name == "valid"}
+    return {name: value for name, value in inputs.items() if name != "valid"}, fixed
+
+
+@functools.partial(jax.jit, static_argnames=("setup",))
+def derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array) -> Any:
+    """Value, reverse-mode gradient of its weighted sum, forward-mode derivative."""
+    free, fixed = _split(inputs)
+    function = functools.partial(_of_free, setup, fixed)
+    value, pull = jax.vjp(function, free)
+    return value, pull(weight.astype(value.dtype))[0], jax.jvp(function, (free,), (moves,))[1]
+
+
+def _of_free(setup: Setup, fixed: Inputs, free: Inputs) -> jax.Array:
+    return call(setup, free | fixed)
+
+
+@functools.partial(jax.jit, static_argnames=("setup",))
+def _at(setup: Setup, inputs: Inputs, moves: Inputs, step: jax.Array) -> jax.Array:
+    free, fixed = _split(inputs)
+    moved = jax.tree.map(lambda value, move: value + step * move, free, moves)
+    return call(setup, moved | fixed)
+
+
+def measure(setup: Setup, frame: jaxblur.Frame) -> Numbers:
+    """All figures of one filter on one frame."""
+    weight = jnp.asarray(np.random.default_rng(9).normal(size=frame.color.shape), jnp.float32)
+    inputs = as_inputs(setup, frame, "float32")
+    moves, near = directions(inputs), beside(inputs)
+    single = _as_numpy(derivatives(setup, inputs, moves, weight))
+    single_beside = _as_numpy(derivatives(setup, near, moves, weight))
+    with jax.enable_x64(True):
+        inputs, near = as_inputs(setup, frame, "float64"), _as_double(near)
+        moves = directions(inputs)
+        double = _as_numpy(derivatives(setup, inputs, moves, weight))
+        double_beside = _as_numpy(derivatives(setup, near, moves, weight))
+        modes = _between_modes(double, moves, np.asarray(weight))
+        wrong, jumps = _against_differences(setup, near, moves, double_beside[2])
+    scale = max(float(np.abs(np.asarray(inputs["color"])).max()), 1e-30)
+    error = np.abs(single[0] - double[0]) / scale
+    flipped = error > FLIPPED
+    return Numbers(
+        finite_value=bool(np.isfinite(single[0]).all() and np.isfinite(double[0]).all()),
+        finite_gradient=all(
+            np.isfinite(leaf).all() for leaf in jax.tree.leaves((single[1:], double[1:]))
+        ),
+        error=float(np.max(error, initial=0, where=~flipped)),
+        flipped=float(flipped.mean()),
+        gradient_error=_gradient_error(single_beside[1], double_beside[1]),
+        modes=modes,
+        wrong=wrong,
+        jumps=jumps,
+    )
+
+
+def _as_numpy(tree: Any) -> Any:
+    return jax.tree.map(np.asarray, tree)
+
+
+def _as_double(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), "float64"), tree)
+
+
+def _gradient_error(single: Any, double: Any) -> float:
+    """The worst input's 99th percentile of differences, as a share of its largest derivative."""
+    worst = 0.0
+    for ours, reference in zip(jax.tree.leaves(single), jax.tree.leaves(double), strict=True):
+        largest = np.abs(reference).max()
+        if largest > 0:
+            worst = max(worst, float(np.percentile(np.abs(ours - reference), 99) / largest))
+    return worst
+
+
+def _between_modes(double: Any, moves: Inputs, weight: np.ndarray) -> float:
+    """``<weight, J move>`` against ``<J^T weight, move>``."""
+    _, gradient, forward = double
+    pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(moves), strict=True)
+    products = np.concatenate([(np.asarray(a) * np.asarray(b)).ravel() for a, b in pairs])
+    terms = (weight * forward).ravel()
+    size = max(np.abs(products).sum(), np.abs(terms).sum(), 1e-300)
+    return float(abs(products.sum() - terms.sum()) / size)
+
+
+def _against_differences(
+    setup: Setup, inputs: Inputs, moves: Inputs, forward: np.ndarray
+) -> tuple[float, float]:
+    """Shares of values whose derivative is wrong, and of those that jump within the step."""
+    coarse, fine = (
+        np.asarray(_at(setup, inputs, moves, step) - _at(setup, inputs, moves, -step)) / (2 * step)
+        for step in (STEP, STEP / 8)
+    )
+    size = max(np.abs(forward).max(), float(np.abs(np.asarray(inputs["color"])).max()) * 1e-3)
+    differs = np.abs(forward - fine) > SAME * size
+    # Across a jump the quotient grows as the step shrinks, or changes once the jump is passed.
+    jumps = differs & (np.abs(coarse - fine) > SAME * size)
+    return float((differs & ~jumps).mean()), float(jumps.mean())
+
+
+def relative(setup: Setup, settings: dict[str, Any]) -> Setup:
+    """The same filter with other settings."""
+    return Setup(setup.name, dataclasses.replace(setup.settings, **settings))
+
+
+def broken_invariants(setup: Setup, frame: jaxblur.Frame) -> list[str]:
+    """Names of the invariants of the filters that this frame breaks; none should be."""
+    quiet = relative(setup, {"noise": "none", "tile_choice": "own"})
+    color = np.asarray(frame.color, np.float32)
+    value = _value(quiet, frame)
+    tolerance = 2e-5 * max(float(np.abs(color).max()), 1e-30)
+
+    def differs(other: np.ndarray, expected: np.ndarray = value) -> bool:
+        return bool(np.abs(other - expected).max() > tolerance)
+
+    def changed(**buffers: Any) -> jaxblur.Frame:
+        return dataclasses.replace(frame, **buffers)
+
+    constant = np.full_like(color, 0.7)
+    checks: dict[str, Callable[[], bool]] = {
+        "same bits twice": lambda: not np.array_equal(_value(quiet, frame), value),
+        "-V": lambda: (
+            setup.settings.samples % 2 == 1
+            and differs(_value(quiet, changed(velocity=-np.asarray(frame.velocity))))
+        ),
+        "4 C - 1": lambda: (
+            frame.valid is None
+            and bool(
+                np.abs((_value(quiet, changed(color=4 * color - 1)) + 1) / 4 - value).max()
+                > tolerance + 1e-6
+            )
+        ),
+        "constant": lambda: bool(
+            np.abs(_value(quiet, changed(color=constant)) - 0.7).max() > 2e-6
+            and frame.valid is None
+        ),
+        "range": lambda: bool(
+            frame.valid is None
+            and (value.min() < color.min() - tolerance or value.max() > color.max() + tolerance)
+        ),
+        "identity": lambda: bool(
+            np.abs(np.asarray(frame.velocity, np.float64)).max() <= 0.5
+            and frame.valid is None
+            and not np.array_equal(value, color)
+        ),
+        "2 Z": lambda: setup.name in SEES_DEPTH_RATIOS and _scales(quiet, frame, differs),
+    }
+    return [name for name, is_broken in checks.items() if is_broken()]
+
+
+SEES_DEPTH_RATIOS = ("guertin2014",)
+"""Filters that compare depths by their ratio, so that the unit of depth does not matter."""
+
+
+def _scales(setup: Setup, frame: jaxblur.Frame, differs: Callable[[np.ndarray], bool]) -> bool:
+    depth = np.asarray(frame.depth, np.float32)
+    finite = depth[np.isfinite(depth)]
+    # Depths are clamped at 1e-9.
+    if finite.size and finite.min() < 1e-8:
+        return False
+    return differs(_value(setup, dataclasses.replace(frame, depth=2 * depth)))
+
+
+@functools.partial(jax.jit, static_argnames=("setup",))
+def _jitted(setup: Setup, inputs: Inputs) -> jax.Array:
+    return call(setup, inputs)
+
+
+def _value(setup: Setup, frame: jaxblur.Frame) -> np.ndarray:
+    return np.asarray(_jitted(setup, as_inputs(setup, frame, "float32")))
