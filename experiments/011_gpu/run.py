@@ -1,0 +1,297 @@
+"""guertin2014 on a GPU: the same result as on the CPU? How far from the floor?
+
+    python experiments/011_gpu/run.py -o OUT                          # on a machine with a GPU
+    python experiments/011_gpu/run.py -o OUT --allow-cpu --quick      # shows that the script works
+
+Needs jax, numpy and the core of jaxblur; no image library. First correctness: value and gradient on
+the device against the CPU in float64. Then the time of forward and gradient, for one frame and for
+batches of eight, next to the floor: compulsory bytes over the measured bandwidth of a copy, and
+operations over the measured rate of multiply-adds. Writes results.csv and results.md.
+"""
+
+import argparse
+import csv
+import datetime
+import functools
+import itertools
+import pathlib
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+# As a script, from the root folder, so that nothing has to be installed.
+sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
+
+import jaxblur
+from jaxblur.bench.frames import moving_frame
+from jaxblur.bench.timing import Timing, time_in_turn
+
+FREE = ("kappa", "gamma", "phi", "depth_sharpness")
+BYTES_PER_PIXEL = 40
+"""Color in and out (24), depth (4), velocity (8), noise (4): read or written once in float32."""
+OPERATIONS_PER_TAP = 110
+"""Counted by hand in the source of the filter; a multiply-add counts as two."""
+TOLERANCE, SHARE = 1e-3, 1e-3
+"""Colors in 0..1 may differ by this much in this share of the pixels: a tap within rounding of the
+border between two texels may read either."""
+GOALS = {(720, 35): 0.5, (1080, 35): 1.1}
+"""Milliseconds for one frame, forward, by height and samples."""
+
+
+class Extent(NamedTuple):
+    """What is run: sizes, samples, batches, repeats, frames queued for one timing."""
+
+    sizes: Sequence[tuple[int, int]]
+    samples: Sequence[int]
+    batches: Sequence[int]
+    repeats: int
+    queued: int
+
+
+FULL = Extent(((720, 1280), (1080, 1920), (2160, 3840)), (15, 25, 35, 47), (1, 8), 15, 10)
+QUICK = Extent(((180, 320),), (15,), (1, 2), 3, 1)
+
+
+class Floor(NamedTuple):
+    """Measured limits of the device: bytes and operations per second."""
+
+    bandwidth: float
+    rate: float
+
+    def milliseconds(self, pixels: int, samples: int) -> float:
+        """The least time for one frame: the larger of memory and arithmetic."""
+        memory = pixels * BYTES_PER_PIXEL / self.bandwidth
+        arithmetic = pixels * samples * OPERATIONS_PER_TAP / self.rate
+        return 1e3 * max(memory, arithmetic)
+
+
+def find_device(allow_cpu: bool) -> Any:
+    """The accelerator.
+
+    Raises:
+        SystemExit: there is none, and the CPU is not allowed.
+    """
+    device = jax.devices()[0]
+    if device.platform == "cpu" and not allow_cpu:
+        raise SystemExit(
+            "jax sees no GPU: install jaxblur[cuda12] or [cuda13]; --allow-cpu runs on the CPU."
+        )
+    return device
+
+
+def loss(
+    settings: jaxblur.Settings, values: Any, frame: jaxblur.Frame, noise: jaxblur.Noise
+) -> jax.Array:
+    """Mean square of the blurred frame, for parameters by name."""
+    parameters = jaxblur.GuertinParameters(**values)
+    return jnp.mean(jaxblur.guertin2014(frame, parameters, settings=settings, noise=noise) ** 2)
+
+
+def free_values() -> dict[str, Any]:
+    """The published values of the parameters that are differentiated."""
+    published = jaxblur.GuertinParameters()
+    return {name: jnp.asarray(getattr(published, name), float) for name in FREE}
+
+
+def blur(
+    settings: jaxblur.Settings, values: Any, frame: jaxblur.Frame, noise: jaxblur.Noise
+) -> jax.Array:
+    """The blurred frame, for parameters by name."""
+    parameters = jaxblur.GuertinParameters(**values)
+    return jaxblur.guertin2014(frame, parameters, settings=settings, noise=noise)
+
+
+def outcome(device: Any, dtype: str, settings: jaxblur.Settings, size: tuple[int, int]):
+    """Blurred frame and gradient of four parameters on a device, as NumPy arrays in float64."""
+    generator = np.random.default_rng(0)
+    tap = generator.uniform(-1, 1, size)
+    tile = generator.uniform(-0.5, 0.5, (*size, 2))
+    frame = moving_frame(*size)
+    with jax.default_device(device), jax.enable_x64(dtype == "float64"):
+        frame = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), dtype), frame)
+        noise = jaxblur.Noise(jnp.asarray(tap, dtype), jnp.asarray(tile, dtype))
+        image = jax.jit(functools.partial(blur, settings))(free_values(), frame, noise)
+        gradient = jax.jit(jax.grad(functools.partial(loss, settings)))(free_values(), frame, noise)
+        return np.asarray(image, np.float64), {k: float(g) for k, g in gradient.items()}
+
+
+def check(device: Any, size: tuple[int, int]) -> list[tuple[str, ...]]:
+    """Hold the device against the CPU in float64.
+
+    Returns:
+        One row for each fetch and precision: worst difference, share of pixels beyond the
+        tolerance, worst relative difference of a derivative.
+
+    Raises:
+        SystemExit: the device computes something else.
+    """
+    rows, cpu = [], jax.devices("cpu")[0]
+    for fetch in ("nearest", "bilinear"):
+        settings = jaxblur.Settings(fetch=fetch, samples=15)
+        expected, expected_gradient = outcome(cpu, "float64", settings, size)
+        for dtype in ("float64", "float32"):
+            image, gradient = outcome(device, dtype, settings, size)
+            difference = np.abs(image - expected).max(axis=-1)
+            share = float(np.mean(~(difference <= TOLERANCE)))
+            relative = max(abs(gradient[k] / e - 1) for k, e in expected_gradient.items())
+            rows.append(
+                (fetch, dtype, f"{difference.max():.2g}", f"{share:.2g}", f"{relative:.2g}")
+            )
+            print("  ".join(("correctness", *rows[-1])), flush=True)
+            if share > SHARE or not relative < 0.05:
+                raise SystemExit(f"{device.device_kind} differs from the CPU: {rows[-1]}")
+    return rows
+
+
+def measure_floor(device: Any, quick: bool) -> Floor:
+    """Measure the bandwidth of a copy and the rate of multiply-adds."""
+    numbers = (1 << 22) if quick else (1 << 27)
+    data = jax.device_put(jnp.arange(numbers, dtype=jnp.float32), device)
+    steps, chains = 64, 8
+    small = data[: numbers // 32]
+
+    @jax.jit
+    def arithmetic(x: jax.Array) -> jax.Array:
+        # Several chains, because a single one would wait for each of its own results.
+        values = [x + chain for chain in range(chains)]
+        for _ in range(steps):
+            values = [value * 0.999 + 0.001 for value in values]
+        return functools.reduce(jnp.add, values)
+
+    copy = jax.jit(lambda x: x + 1)
+    runs = {"copy": lambda: copy(data), "arithmetic": lambda: arithmetic(small)}
+    times = time_in_turn({k: _waiting(run, 4) for k, run in runs.items()}, 7)
+    bandwidth = 4 * 2 * data.nbytes / times["copy"].median
+    operations = 4 * 2 * steps * chains * small.size
+    return Floor(bandwidth, operations / times["arithmetic"].median)
+
+
+def _waiting(run: Callable[[], Any], queued: int) -> Callable[[], Any]:
+    """Several runs in the queue of the device, then wait: the launch overlaps with the work."""
+
+    def wait() -> Any:
+        for _ in range(queued - 1):
+            run()
+        return jax.block_until_ready(run())
+
+    return wait
+
+
+def measure(
+    size: tuple[int, int], batch: int, extent: Extent, floor: Floor
+) -> list[tuple[str, ...]]:
+    """Time forward and gradient for every number of samples, in turn."""
+    frame = moving_frame(*size)
+    noise = jaxblur.Noise(jnp.zeros(size), jnp.zeros((*size, 2)))
+    frames = jax.tree.map(lambda buffer: jnp.stack([buffer] * batch), frame)
+    runs, compiled = {}, {}
+    for samples, kind in itertools.product(extent.samples, ("forward", "gradient")):
+        settings = jaxblur.Settings(samples=samples, noise="none")
+        function = functools.partial(blur if kind == "forward" else loss, settings)
+        one = function if kind == "forward" else jax.value_and_grad(function)
+        started = time.perf_counter()
+        program = (
+            jax.jit(jax.vmap(one, (None, 0, None)) if batch > 1 else one)
+            .lower(free_values(), frames if batch > 1 else frame, noise)
+            .compile()
+        )
+        compiled[samples, kind] = program, time.perf_counter() - started
+        arguments = free_values(), frames if batch > 1 else frame, noise
+        runs[samples, kind] = _waiting(functools.partial(program, *arguments), extent.queued)
+    times = time_in_turn(runs, extent.repeats)
+    return [_row(size, batch, key, times[key], compiled[key], extent.queued, floor) for key in runs]
+
+
+def _row(
+    size: tuple[int, int],
+    batch: int,
+    key: tuple[int, str],
+    timing: Timing,
+    compiled: tuple[Any, float],
+    queued: int,
+    floor: Floor,
+) -> tuple[str, ...]:
+    height, width = size
+    samples, kind = key
+    program, compile_seconds = compiled
+    per_frame = 1e3 * timing.median / queued / batch
+    least = floor.milliseconds(height * width, samples)
+    goal = GOALS.get((height, samples)) if kind == "forward" and batch == 1 else None
+    met = "" if goal is None else f"{goal:g}: {'met' if per_frame < goal else 'missed'}"
+    temporary = program.memory_analysis().temp_size_in_bytes / 1e6
+    row = (
+        f"{width}x{height}",
+        str(batch),
+        str(samples),
+        kind,
+        f"{per_frame:.3f}",
+        f"{1e3 * timing.spread / queued / batch:.3f}",
+        f"{least:.3f}",
+        f"{per_frame / least:.1f}",
+        met,
+        f"{temporary:.0f}",
+        f"{compile_seconds:.1f}",
+    )
+    print("  ".join(row), flush=True)
+    return row
+
+
+COLUMNS = (
+    "size",
+    "batch",
+    "samples",
+    "what",
+    "ms per frame",
+    "IQR",
+    "floor ms",
+    "times the floor",
+    "goal ms",
+    "temporaries MB",
+    "compile s",
+)
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def describe(device: Any, floor: Floor) -> str:
+    """Date, chip, versions, limits."""
+    return (
+        f"{datetime.date.today().isoformat()}, {device.device_kind} ({device.platform}), "
+        f"jax {jax.__version__}, jaxblur {jaxblur.__version__}. Measured: "
+        f"{floor.bandwidth / 1e9:.0f} GB/s, {floor.rate / 1e12:.2f} TFLOP/s.\n"
+    )
+
+
+def main() -> None:
+    """Check, measure, write."""
+    parser = argparse.ArgumentParser(description="guertin2014 on a GPU.")
+    parser.add_argument("-o", "--output", type=pathlib.Path, required=True, metavar="OUT")
+    parser.add_argument("--allow-cpu", action="store_true", help="run where there is no GPU")
+    parser.add_argument("--quick", action="store_true", help="one small size")
+    options = parser.parse_args()
+    device = find_device(options.allow_cpu)
+    extent = QUICK if options.quick else FULL
+    checks = check(device, (90, 160) if options.quick else (360, 640))
+    floor = measure_floor(device, options.quick)
+    rows: list[tuple[str, ...]] = []
+    for size, batch in itertools.product(extent.sizes, extent.batches):
+        rows += measure(size, batch, extent, floor)
+    options.output.mkdir(parents=True, exist_ok=True)
+    with (options.output / "results.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    heads = ("fetch", "precision", "worst", "share beyond 0.001", "derivative, relative")
+    text = "\n".join((describe(device, floor), table(heads, checks), table(COLUMNS, rows)))
+    (options.output / "results.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
