@@ -64,7 +64,7 @@ def _groups(rows: Sequence[Row], extent: Extent) -> dict[str, list[Point]]:
 
 
 def _shows_growth(row: Row) -> bool:
-    """Whether a filter was timed where everything moves, with its published settings but for N, r."""
+    """Whether a filter was timed where all moves, with its published settings but for N and r."""
     if row["scene"] != plan.MOVING_SCENE or row["method"] not in FILTERS:
         return False
     case = row.case

@@ -8,9 +8,6 @@ from .cases import (
 )
 from .changes import Change as Change, compare as compare
 from .frames import moving_frame as moving_frame
-from .jobs import batches as batches, catalogue_jobs as catalogue_jobs
-from .measuring import measure as measure
-from .programs import Programs as Programs
 from .fronts import (
     by_scene as by_scene,
     front as front,
@@ -18,6 +15,9 @@ from .fronts import (
     pooled as pooled,
     report as report,
 )
+from .jobs import batches as batches, catalogue_jobs as catalogue_jobs
+from .measuring import measure as measure
+from .programs import Programs as Programs
 from .results import (
     Row as Row,
     identity as identity,
