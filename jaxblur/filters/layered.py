@@ -14,18 +14,19 @@ import functools
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sample_sums import sum_samples
-from ..sampling import color_planes, read_color, read_nearest, read_position
+from ..sampling import color_table, read_color, read_nearest, read_position
 from ..settings import Settings
 from ..tiles import clamp_speed
 from ..weights import finite_depth
 from .masking import honoring_mask
-from .reaching import SLOWEST, fine_tile, reaching_velocities
-from .silhouettes import unmixed_velocity
+from .reaching import SLOWEST, fine_tile, reaching_pixels
+from .silhouettes import purest_neighbor
 
 GUESSES = 3
 
@@ -72,13 +73,14 @@ def _times(index, count, jitter):
 
 def _guess(size, settings, time, way, tables, local):
     """Read one guess: its texel, how surely it lands, its log depth, its color."""
-    x, y, bend_x, bend_y, own = way
+    (x, y), (turn_x, turn_y), (bend_x, bend_y), own = way
     squared = time * time
     texels = read_position(
         squared * bend_x - time * x, squared * bend_y - time * y, size, settings.border
     )
     read = {name: read_nearest(plane, texels.index) for name, plane in tables["motion"].items()}
-    apart = jnp.square(read["x"] - x) + jnp.square(read["y"] - y)
+    apart_x, apart_y = read["x"] - x + time * turn_x, read["y"] - y + time * turn_y
+    apart = jnp.square(apart_x) + jnp.square(apart_y)
     lands = jnp.clip(1.5 - squared * apart * local["inverse_tolerance"], 0, 1)
     depth_apart = jnp.abs(read["depth"] - local["depth"])
     same = jnp.clip(1.5 - apart * local["inverse_own"], 0, 1)
@@ -128,37 +130,82 @@ def _slice(size, settings, count, index, local, tables):
     return (*mixed, weight)
 
 
-def _bend(x, y, speed, log_depth, parameters, size):
-    """Half of the change of velocity along the own way, (H, W) each; 0 where the surface ends."""
+def _once(moves, function, planes, *more):
+    """Apply a function to planes where anything moves at all, else give its first ones back.
+
+    XLA would compute what leads to a read again for each of the reads; it does not look into
+    conditionals.
+    """
+    return lax.cond(moves, function, lambda planes, *_: list(planes), list(planes), *more)
+
+
+def _purest(planes, log_depth, sharpness):
+    """The planes of a motion, at silhouettes read where the motion is least mixed."""
+    index = purest_neighbor(planes[0], planes[1], log_depth, sharpness)
+    return [read_nearest(plane.reshape(-1), index) for plane in planes]
+
+
+def _turn(velocity, log_depth, sharpness):
+    """Change of velocity along the own way, (v . grad) v; 0 beyond the ends of the surface."""
+    x, y = velocity
+    squared = jnp.square(x) + jnp.square(y)
     planes = [plane.reshape(-1) for plane in (x, y, log_depth)]
 
     def change(side):
-        texels = read_position(side * x[..., None], side * y[..., None], size, "clamp")
+        texels = read_position(side * x[..., None], side * y[..., None], x.shape, "clamp")
         near_x, near_y, near_depth = (read_nearest(p, texels.index)[..., 0] for p in planes)
         near_x, near_y = near_x - x, near_y - y
-        alike = jnp.square(near_x) + jnp.square(near_y) < 0.25 * jnp.square(speed)
-        alike = alike & (jnp.abs(near_depth - log_depth) * parameters.surface_sharpness < 1)
-        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), jnp.where(alike, 1, 0)
+        alike = jnp.square(near_x) + jnp.square(near_y) < 0.25 * squared
+        alike = alike & (jnp.abs(near_depth - log_depth) * sharpness < 1)
+        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), jnp.where(alike, 0.5, 0)
 
     ahead, back = change(0.5), change(-0.5)
-    scale = 2 * parameters.bend / jnp.maximum(ahead[2] + back[2], 1)
-    return scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])
+    scale = 1 / jnp.maximum(ahead[2] + back[2], 0.5)
+    return [scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])]
 
 
-def _ways(x, y, bend, tiles, size, parameters):
-    """The three ways to guess along: velocity, bend and share of "own" of each, (H, W, 1)."""
-    ways = [(x, y, *bend, jnp.ones_like(x))]
+def _motion(frame, parameters, settings, log_depth):
+    """Velocity, turn and bend of the own way of every pixel, each as x and y.
+
+    A point s gets to p at time t if ``s + t v(s) + t^2 a(s) = p``, a being half its acceleration;
+    to second order ``s = p - t v + t^2 ((v . grad) v - a)``. Where no path tells a, velocities
+    are taken to stay where they are in the image, and a is half the turn.
+    """
+    velocity, sharpness = frame.velocity, parameters.surface_sharpness
+    if frame.path is not None:
+        velocity = (frame.path[..., 1, :] - frame.path[..., 0, :]) / 2
+    velocity, _ = clamp_speed(velocity, settings.radius)
+    planes = [velocity[..., 0], velocity[..., 1]]
+    if frame.path is not None:
+        planes += [(frame.path[..., 0, axis] + frame.path[..., 1, axis]) / 2 for axis in (0, 1)]
+    moves = jnp.any(planes[0] != 0) | jnp.any(planes[1] != 0)
+    x, y, *half = _once(moves, _purest, planes, log_depth, sharpness)
+    turn = _once(moves, _turn, (x, y), log_depth, sharpness)
+    bend = tuple(
+        component - half[axis] if half else parameters.bend * component
+        for axis, component in enumerate(turn)
+    )
+    return (x, y), tuple(turn), bend
+
+
+def _ways(motion, pixels, size, parameters):
+    """The three ways to guess along: velocity, turn, bend and share of "own" of each."""
+    (x, y), *curves = motion
     height, width = x.shape
-    for grid in tiles:
-        grid = jnp.repeat(jnp.repeat(grid, size, axis=0), size, axis=1)[:height, :width]
-        other_x, other_y = grid[..., 0], grid[..., 1]
-        exists = (other_x != 0) | (other_y != 0)
+    ways = [(*motion, jnp.ones_like(x))]
+    for grid in pixels:
+        pixel = jnp.maximum(grid, 0)
+        exists, other_x, other_y = (
+            jnp.repeat(jnp.repeat(plane, size, axis=0), size, axis=1)[:height, :width]
+            for plane in (grid >= 0, x.reshape(-1)[pixel], y.reshape(-1)[pixel])
+        )
         apart = jnp.square(other_x - x) + jnp.square(other_y - y)
         differs = jnp.clip(2 * apart / jnp.square(parameters.distinct) - 1, 0, 1)
         differs = jnp.where(exists, differs, 0)
+        own = 1 - differs
         way = (x + differs * (other_x - x), y + differs * (other_y - y))
-        ways.append((*way, *((1 - differs) * component for component in bend), 1 - differs))
-    return [tuple(plane[..., None] for plane in way) for way in ways]
+        ways.append((way, *(tuple(own * part for part in parts) for parts in curves), own))
+    return jax.tree.map(lambda plane: plane[..., None], ways)
 
 
 @honoring_mask
@@ -197,16 +244,13 @@ def layered(
     shape = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, *shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    velocity, _ = clamp_speed(frame.velocity, settings.radius)
     log_depth = jnp.log(finite_depth(frame.depth))
-    x, y = unmixed_velocity(
-        velocity[..., 0], velocity[..., 1], log_depth, parameters.surface_sharpness
-    )
+    motion = _motion(frame, parameters, settings, log_depth)
+    x, y = motion[0]
     speed = safe_norm(x, y)
-    bend = _bend(x, y, speed, log_depth, parameters, shape)
     size = fine_tile(settings.radius)
-    tiles = reaching_velocities(x, y, speed, size)
-    ways = _ways(x, y, bend, tiles, size, parameters)
+    tiles = reaching_pixels(x, y, speed, log_depth, size)
+    ways = _ways(motion, tiles, size, parameters)
     own_tolerance = jnp.square(parameters.own_tolerance) * (jnp.square(speed) + 0.01)
     local = {
         "ways": ways,
@@ -217,12 +261,12 @@ def layered(
         "surface_sharpness": parameters.surface_sharpness,
         "front_sharpness": parameters.front_sharpness,
     }
-    motion = {"x": x, "y": y, "depth": log_depth}
+    read = {"x": x, "y": y, "depth": log_depth}
     tables = {
-        "motion": {name: plane.reshape(-1) for name, plane in motion.items()},
-        "color": color_planes(frame.color),
+        "motion": {name: plane.reshape(-1) for name, plane in read.items()},
+        "color": color_table(frame.color),
     }
-    moving = (speed > SLOWEST) | (ways[1][4][..., 0] < 1) | (ways[2][4][..., 0] < 1)
+    moving = (speed > SLOWEST) | (ways[1][-1][..., 0] < 1) | (ways[2][-1][..., 0] < 1)
     count = settings.samples // GUESSES
     sample = functools.partial(_slice, shape, settings, count)
     *colors, weight = sum_samples(sample, count, moving, local, tables, settings.backend)

@@ -6,8 +6,10 @@ are as long as the motion, so that blur may be longer than any tile, and what mo
 reaching a tile leaves it alone.
 """
 
+import functools
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
@@ -23,6 +25,15 @@ SLOWEST = 0.5
 
 _LEVELS = 1023
 """Steps to which unlikeness is rounded: with 8K frames it still leaves room for the ranks."""
+
+IN_FRONT = 0.05
+"""Log depth from which on a line counts as in front of what it crosses."""
+
+ALIKE = 1.0
+"""Pixels by which two velocities must differ to count as two."""
+
+BEHIND = 20
+"""What is in front goes first unless something else is this much more unlike the first choice."""
 
 _INSET = 0.25
 """Pixels by which a line is narrower than a tile, so that mirrored frames round alike."""
@@ -45,95 +56,109 @@ def fine_tile(radius: int) -> int:
     return min(sizes, key=lambda size: abs(size - USUAL_TILE), default=USUAL_TILE)
 
 
-def reaching_velocities(
+def reaching_pixels(
     x: Float[Array, "height width"],
     y: Float[Array, "height width"],
     speed: Float[Array, "height width"],
+    log_depth: Float[Array, "height width"],
     size: int,
-) -> Float[Array, "2 rows columns 2"]:
-    """The two velocities that matter most in each tile of a fine grid.
+) -> Int[Array, "2 rows columns"]:
+    """The two pixels whose motions matter most in each tile of a fine grid.
 
-    First the fastest v of those whose line ``q - v .. q + v`` crosses the tile, q being the
-    fastest pixel of its own tile; then, of the others, the u with the largest
-    ``min(||u||, ||u - v||)``.
+    Each tile's fastest pixel q, with velocity v, draws the line ``q - v .. q + v``. Of the lines
+    that cross a tile the first is the fastest of those in front of the farthest point in the tile,
+    or the fastest of all if none is in front. The second is that of the u with the largest
+    ``min(||u||, ||u - v||)``, a twentieth of it counting where u is not in front.
 
     Args:
         x: half-spread in pixels to the right.
         y: half-spread in pixels downward.
         speed: its norm.
+        log_depth: natural logarithm of the depth.
         size: side of a tile in pixels.
 
     Returns:
-        Velocities in pixels, 0 where there is none. Differentiable: the derivative is that of the
-        pixels chosen.
+        Row-major indices into the image, -1 where there is no such line.
     """
+    x, y, speed, log_depth = lax.stop_gradient((x, y, speed, log_depth))
     winner = tile_argmax(speed, size)
-    flat = winner.reshape(-1)
-    vectors = jnp.stack([x.reshape(-1)[flat], y.reshape(-1)[flat]], axis=-1)
+    pixel = winner.reshape(-1)
     rows, columns = winner.shape
-    lines = _Lines(flat, lax.stop_gradient(vectors), (rows, columns), speed.shape[1], size)
-    first = lines.highest(lambda _: lines.rank)
-    second = lines.highest(lambda tile: lines.unlikeness(first[tile]))
-    # Row 0 stands for "none".
-    vectors = jnp.concatenate([jnp.zeros((1, 2), vectors.dtype), vectors])
-    return vectors[jnp.stack([first, second]) + 1].reshape(2, rows, columns, 2)
+    farthest = _tile_highest(log_depth, size)
+    lines = _Lines(pixel, (x, y, log_depth), (rows, columns), size)
+    in_front = functools.partial(lines.in_front, farthest)
+    first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
+    second = lines.highest(
+        lambda tile: lines.unlikeness(first[tile]) // jnp.where(in_front(tile), 1, BEHIND)
+    )
+    chosen = jnp.stack([first, second])
+    return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, rows, columns)
+
+
+def _tile_highest(plane: jax.Array, size: int) -> Float[Array, " tiles"]:
+    """The highest value in each tile."""
+    height, width = plane.shape
+    padding = ((0, -height % size), (0, -width % size))
+    return lax.reduce_window(plane, -jnp.inf, lax.max, (size, size), (size, size), padding).reshape(
+        -1
+    )
 
 
 class _Lines:
-    """The lines that the tiles' fastest pixels draw over the grid.
-
-    Attributes:
-        rank: of each line by speed, from 1; unique, so that a rank names its line.
-    """
+    """The lines that the tiles' fastest pixels draw over the grid."""
 
     def __init__(
         self,
         pixel: Int[Array, " tiles"],
-        velocity: Float[Array, "tiles 2"],
+        planes: tuple[jax.Array, jax.Array, jax.Array],
         grid: tuple[int, int],
-        width: int,
         size: int,
     ) -> None:
         self._rows, self._columns = grid
-        self._size = size
-        self._x, self._y = velocity[:, 0], velocity[:, 1]
+        self._size, self._count = size, len(pixel)
+        width = planes[0].shape[1]
+        self._x, self._y, self._depth = (plane.reshape(-1)[pixel] for plane in planes)
         self._start_x, self._start_y = pixel % width + 0.5, pixel // width + 0.5
         self._speed = safe_norm(self._x, self._y)
         # Only as many steps as the longest line needs, whatever the radius.
         self._steps = jnp.ceil(jnp.max(self._speed) / size).astype(jnp.int32)
-        self._by_rank = jnp.argsort(self._speed, stable=True, descending=True)[::-1]
-        count = len(pixel)
-        self.rank = jnp.zeros(count, jnp.int32).at[self._by_rank].set(jnp.arange(1, count + 1))
+        self._by_rank = jnp.argsort(-self._speed, stable=True)[::-1]
+        ranks = jnp.arange(self._count, dtype=jnp.int32)
+        self._rank = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
 
-    def unlikeness(self, first: Int[Array, " tiles"]) -> Int[Array, " tiles"]:
-        """Key of each line where another one is known: what the other does not show, then speed."""
+    def in_front(self, depth, tile):
+        """Whether each line is in front of the depth at one tile for each line."""
+        return depth[tile] - self._depth > IN_FRONT
+
+    def unlikeness(self, first):
+        """What each line shows that another one for each line does not, in levels; -1 if alike."""
         other = jnp.maximum(first, 0)
         apart = safe_norm(self._x - self._x[other], self._y - self._y[other])
         share = jnp.minimum(self._speed, apart) / jnp.maximum(jnp.max(self._speed), SLOWEST)
         level = jnp.floor(jnp.clip(share, 0, 1) * _LEVELS).astype(jnp.int32)
-        return jnp.where(apart > SLOWEST, level * (len(other) + 1) + self.rank, 0)
+        return jnp.where(apart > ALIKE, level, -1)
 
-    def highest(self, key: Callable[[Array], Array]) -> Int[Array, " tiles"]:
-        """Number of the line with the highest key of those that cross each tile, -1 for none.
+    def highest(self, level: Callable[[Array], Array]) -> Int[Array, " tiles"]:
+        """Number of the line of the highest level of those that cross each tile, -1 for none.
 
         Args:
-            key: maps tiles (T,), one for each line, to keys (T,), 0 for lines that do not count;
-                the rank is their remainder modulo T + 1.
+            level: maps one tile for each line to the levels of the lines there, whole numbers;
+                lines below 0 do not count, and of one level the fastest does.
 
         Returns:
             (T,).
         """
-        count = len(self.rank)
         counts = self._speed > SLOWEST
 
         def add_step(step, best):
             for tile, inside in self._crossed(step - self._steps):
-                best = best.at[tile].max(jnp.where(inside & counts, key(tile), 0))
+                key = level(tile) * self._count + self._rank
+                best = best.at[tile].max(jnp.where(inside & counts, key, -1))
             return best
 
-        best = lax.fori_loop(0, 2 * self._steps + 1, add_step, jnp.zeros(count, jnp.int32))
-        rank = best % (count + 1)
-        return jnp.where(best > 0, self._by_rank[jnp.maximum(rank - 1, 0)], -1)
+        none = jnp.full(self._count, -1, jnp.int32)
+        best = lax.fori_loop(0, 2 * self._steps + 1, add_step, none)
+        return jnp.where(best >= 0, self._by_rank[best % self._count], -1)
 
     def _crossed(self, step):
         """The four tiles under each line's width at one step of it, and whether in the grid."""

@@ -6,12 +6,12 @@ velocity between that of the object and that of what is behind it, which nothing
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Shaped
 
 NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 
 
-def shifted(plane: Float[Array, "height width"], down: int, right: int) -> jax.Array:
+def shifted(plane: Shaped[Array, "height width"], down: int, right: int) -> jax.Array:
     """``plane[row + down, column + right]`` by at most one pixel; the edge continues.
 
     Args:
@@ -27,17 +27,17 @@ def shifted(plane: Float[Array, "height width"], down: int, right: int) -> jax.A
     return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
 
-def unmixed_velocity(
+def purest_neighbor(
     x: Float[Array, "height width"],
     y: Float[Array, "height width"],
     log_depth: Float[Array, "height width"],
     separation: float | Float[Array, ""],
-) -> tuple[Float[Array, "height width"], Float[Array, "height width"]]:
-    """At a jump of depth, the velocity of the own side that is least like the other side.
+) -> Int[Array, "height width"]:
+    """At a jump of depth, the pixel of the own side whose motion is least like the other side.
 
     Of the 3 x 3 neighbors those within ``1 / separation`` of the pixel in log depth are its own
-    side, the others the other side. Where there is another side, the pixel takes the velocity,
-    its own or one of its own side, that is farthest from the mean of the other side.
+    side, the others the other side. Where there is another side, the choice is the pixel, itself
+    or of its own side, whose velocity is farthest from the mean of the other side.
 
     Args:
         x: half-spread in pixels to the right.
@@ -46,20 +46,25 @@ def unmixed_velocity(
         separation: per unit of log depth, > 0; 20 tells depths apart that differ by 5 percent.
 
     Returns:
-        Both components. The derivative is that of the velocity taken.
+        Row-major indices into the image.
     """
-    planes = [(shifted(x, *n), shifted(y, *n), shifted(log_depth, *n)) for n in NEIGHBORS]
-    other = [jnp.abs(depth - log_depth) * separation > 1 for _, _, depth in planes]
+    height, width = x.shape
+    near = [(shifted(x, *offset), shifted(y, *offset)) for offset in NEIGHBORS]
+    other = [
+        jnp.abs(shifted(log_depth, *offset) - log_depth) * separation > 1 for offset in NEIGHBORS
+    ]
     count = sum(jnp.where(apart, 1, 0) for apart in other)
     mean_x, mean_y = (
-        sum(jnp.where(apart, plane[axis], 0) for apart, plane in zip(other, planes, strict=True))
+        sum(jnp.where(apart, vector[axis], 0) for apart, vector in zip(other, near, strict=True))
         / jnp.maximum(count, 1)
         for axis in (0, 1)
     )
-    best, best_x, best_y = jnp.square(x - mean_x) + jnp.square(y - mean_y), x, y
-    for apart, (near_x, near_y, _) in zip(other, planes, strict=True):
-        distance = jnp.square(near_x - mean_x) + jnp.square(near_y - mean_y)
+    best = jnp.square(x - mean_x) + jnp.square(y - mean_y)
+    index = jnp.arange(height * width, dtype=jnp.int32).reshape(height, width)
+    choice = index
+    for offset, apart, vector in zip(NEIGHBORS, other, near, strict=True):
+        distance = jnp.square(vector[0] - mean_x) + jnp.square(vector[1] - mean_y)
         take = ~apart & (distance > best) & (count > 0)
         best = jnp.where(take, distance, best)
-        best_x, best_y = jnp.where(take, near_x, best_x), jnp.where(take, near_y, best_y)
-    return best_x, best_y
+        choice = jnp.where(take, shifted(index, *offset), choice)
+    return choice
