@@ -1,4 +1,4 @@
-"""The sum over the samples of every pixel, and its derivatives.
+"""Gathers: what samples along a line give every pixel, and the derivatives of that.
 
 A sample is an elementwise function written for a trailing sample axis. On a CPU with a C++
 compiler it becomes a native kernel (`jaxblur.native`); elsewhere all of its terms are summed by
@@ -23,11 +23,77 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from .native import native_pull, native_sum
+from .native import Stages, native_gather, native_pull
 from .settings import Backend
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[jax.Array, Any, Any], Terms]
+
+
+def gather_samples(
+    stages: Stages, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
+) -> Terms:
+    """Prepare each pixel, sum the terms of its samples, and finish it.
+
+    The same as the three stages one after the other with `sum_samples` between them; native code
+    does all three in one pass over the pixels that move.
+
+    Args:
+        stages: ``prepare(local, tables)`` gives a pytree of (H, W, 1) planes and scalars;
+            ``sample(indices (n,), prepared, tables)`` a tuple of (H, W, n) terms;
+            ``finish(sums, prepared, tables)`` a tuple of (H, W, 1) results. Elementwise but for
+            reads of the tables. Part of the compilation key.
+        count: number of samples N.
+        moving: (H, W) bool, the pixels whose results are wanted; those of others are finite and
+            mean nothing.
+        local: pytree of (H, W, 1) planes and scalars.
+        tables: pytree of flat arrays that are read anywhere.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        The results, (H, W) each. Differentiable as `sum_samples`.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    leaves, structure = jax.tree.flatten((local, tables))
+    plan = _Plan(stages.sample, count, backend, structure)
+    return _gather(plan, stages, moving, [jnp.asarray(leaf) for leaf in leaves])
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _gather(plan: "_Plan", stages: Stages, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+    """The results, without derivatives."""
+    by_stages = functools.partial(_gather_by_stages, plan, stages)
+    native = native_gather(stages, plan.count, _size(moving), plan.operands(leaves), plan.backend)
+    if native is None:
+        return by_stages(moving, *leaves)
+    return lax.platform_dependent(moving, *leaves, cpu=native, default=by_stages)
+
+
+def _gather_by_stages(
+    plan: "_Plan", stages: Stages, moving: jax.Array, *leaves: jax.Array
+) -> Terms:
+    """One stage after the other."""
+    local, tables = plan.operands(leaves)
+    prepared = stages.prepare(local, tables)
+    sums = sum_samples(stages.sample, plan.count, moving, prepared, tables, plan.backend)
+    results = stages.finish(tuple(total[..., None] for total in sums), prepared, tables)
+    return tuple(result[..., 0] for result in results)
+
+
+def _gather_jvp(plan, stages, primals, tangents):
+    """Derivatives are those of the stages; only what has a tangent is differentiated."""
+    (moving, leaves), tangents = primals, tangents[1]
+    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+
+    def results(values):
+        return _gather_by_stages(plan, stages, moving, *_replaced(leaves, active, values))
+
+    return jax.jvp(results, ([leaves[k] for k in active],), ([tangents[k] for k in active],))
+
+
+_gather.defjvp(_gather_jvp, symbolic_zeros=True)
 
 
 def sum_samples(
@@ -78,8 +144,9 @@ class _Plan(NamedTuple):
 def _sum(plan: _Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The sums, without derivatives."""
     by_xla = functools.partial(_sum_by_xla, plan)
+    stages = Stages(lambda local, _: local, plan.sample, lambda sums, *_: sums)
     operands = plan.operands(leaves)
-    native = native_sum(plan.sample, plan.count, _size(moving), operands, plan.backend)
+    native = native_gather(stages, plan.count, _size(moving), operands, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
     return lax.platform_dependent(moving, *leaves, cpu=native, default=by_xla)

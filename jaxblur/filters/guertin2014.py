@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
+from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
-from ..sample_sums import sum_samples
+from ..sample_sums import gather_samples
 from ..sampling import (
     color_table,
     read_color,
@@ -96,7 +97,8 @@ def _alignment(second, direction, sample, local):
     """How well the pixel (wA) and the sample (wB) move along the direction of the tap."""
     center, along = local["center"], local["along"]
     along_pixel = jnp.where(second, 1, jnp.abs(center[0] * along[0] + center[1] * along[1]))
-    return along_pixel, jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
+    along_sample = jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
+    return along_pixel, along_sample * sample["inverse_speed"]
 
 
 def _sample(size, settings, index, local, tables):
@@ -135,46 +137,65 @@ def _directions(velocity, speed, dominant, gamma):
     return (along_x, along_y), safe_normalize(center_x, center_y)
 
 
-def _buffers(frame, velocity, speed, noise, parameters, settings):
-    """What taps need and what does not depend on the tile that is read: local values, tables."""
-    inverse_speed = 1 / floored_speed(speed)
-    spread = parameters.eta * parameters.phi / settings.samples
-    depth = finite_depth(frame.depth)
-    local = {
-        "inverse_speed": inverse_speed[..., None],
-        "depth": depth[..., None],
-        "jitter": noise.tap.astype(frame.color.dtype)[..., None] * spread,
+def _buffers(frame, velocity, speed, tiles, noise, parameters, settings):
+    """What does not depend on the tile that is read: local values, tables."""
+    planes = {
+        "x": velocity[0],
+        "y": velocity[1],
+        "inverse_speed": 1 / floored_speed(speed),
+        "depth": finite_depth(frame.depth),
+    }
+    local = {name: plane[..., None] for name, plane in planes.items()} | {
+        "noise": noise.tap.astype(frame.color.dtype)[..., None],
+        "jitter": parameters.eta * parameters.phi / settings.samples,
+        "gamma": parameters.gamma,
+        "kappa": parameters.kappa,
         "sharpness": parameters.depth_sharpness,
     }
-    weights = {
-        "x": velocity[0] * inverse_speed,
-        "y": velocity[1] * inverse_speed,
-        "inverse_speed": inverse_speed,
-        "depth": depth,
+    if settings.split == "variance":
+        share = sample_tiles(tile_variance(tiles), settings.radius, *frame.depth.shape)
+        local["share"] = share[..., None]
+    weights = {name: plane.reshape(-1) for name, plane in planes.items()}
+    dominant = tuple(tiles[..., axis].reshape(-1) for axis in (0, 1))
+    return local, {"weights": weights, "dominant": dominant, "color": color_table(frame.color)}
+
+
+def _prepare_pixel(local, tables):
+    """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
+    dominant = [read_nearest(component, local["tile"]) for component in tables["dominant"]]
+    velocity, speed = (local["x"], local["y"]), 1 / local["inverse_speed"]
+    along, center = _directions(velocity, speed, dominant, local["gamma"])
+    kept = ("inverse_speed", "depth", "sharpness", "kappa", "share")
+    return {name: local[name] for name in kept if name in local} | {
+        "along": along,
+        "center": center,
+        "reach": safe_norm(*dominant),
+        "jitter": local["noise"] * local["jitter"],
     }
-    weights = {name: plane.reshape(-1) for name, plane in weights.items()}
-    return local, {"weights": weights, "color": color_table(frame.color)}
 
 
-def _reconstruct(frame, velocity, speed, dominant, buffers, parameters, settings):
+def _finish_pixel(sums, local, tables):
+    """Color gathered, and the share of the pixel's own color (passes 9 and 10)."""
+    *colors, weight, count = sums
+    center_weight = count * local["inverse_speed"] / local["kappa"]
+    sharp = (local["reach"] <= SPEED_FLOOR) | (count == 0)
+    total = jnp.where(sharp, 1, weight + center_weight)
+    gathered = (jnp.where(sharp, 0, color / total) for color in colors)
+    return (*gathered, jnp.where(sharp, 1, center_weight / total))
+
+
+def _reconstruct(frame, tile, moving, buffers, settings):
     """Gather along the two directions of every pixel, for one choice of tile (passes 5 to 10)."""
-    along, center = _directions(velocity, speed, dominant, parameters.gamma)
-    reach = safe_norm(*dominant)
     local, tables = buffers
-    local = local | {
-        "along": tuple(component[..., None] for component in along),
-        "center": tuple(component[..., None] for component in center),
-        "reach": reach[..., None],
-    }
     sample = functools.partial(_sample, frame.depth.shape, settings)
-    *colors, weight, count = sum_samples(
-        sample, settings.samples, reach > SPEED_FLOOR, local, tables, settings.backend
+    stages = Stages(_prepare_pixel, sample, _finish_pixel)
+    moving = moving.reshape(-1)[tile]
+    *colors, share = gather_samples(
+        *(stages, settings.samples, moving, local | {"tile": tile[..., None]}, tables),
+        settings.backend,
     )
-    center_weight = count / (parameters.kappa * floored_speed(speed))
-    total = jnp.stack(colors, axis=-1) + center_weight[..., None] * frame.color
-    sharp = (reach <= SPEED_FLOOR) | (count == 0)
-    blurred = total / jnp.where(sharp, 1, weight + center_weight)[..., None]
-    return jnp.where(sharp[..., None], frame.color, blurred)
+    blurred = jnp.stack(colors, axis=-1) + share[..., None] * frame.color
+    return jnp.where(moving[..., None], blurred, frame.color)
 
 
 def _tile_choices(height, width, parameters, settings, noise):
@@ -272,17 +293,21 @@ def tile_outcomes(
     prepared = _prepare(append_mask(frame) if masked else frame, parameters, settings, noise)
     frame, parameters, noise, velocity, speed, tiles = prepared
     height, width = frame.depth.shape
-    local, tables = _buffers(frame, velocity, speed, noise, parameters, settings)
-    if settings.split == "variance":
-        share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
-        local["share"] = share[..., None]
-
-    def blur(tile):
-        dominant = tiles[..., 0].reshape(-1)[tile], tiles[..., 1].reshape(-1)[tile]
-        return _reconstruct(frame, velocity, speed, dominant, (local, tables), parameters, settings)
-
     indices, chances = _tile_choices(height, width, parameters, settings, noise)
-    colors = blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
+    moving = safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR
+
+    def blur_all():
+        buffers = _buffers(frame, velocity, speed, tiles, noise, parameters, settings)
+
+        def blur(tile):
+            return _reconstruct(frame, tile, moving, buffers, settings)
+
+        return blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
+
+    def keep():
+        return jnp.broadcast_to(frame.color, (len(indices), *frame.color.shape))
+
+    colors = lax.cond(jnp.any(moving), blur_all, keep)
     return (divide_by_mask(colors) if masked else colors), chances
 
 

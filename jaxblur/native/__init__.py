@@ -1,4 +1,4 @@
-"""Sums over samples as machine code, where a C++ compiler is at hand."""
+"""Gathers along lines as machine code, where a C++ compiler is at hand."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -8,23 +8,23 @@ import jax
 import jax.numpy as jnp
 
 from .build import BuildFailed, find_compiler, register
-from .emit import Kernel, emit_pull, emit_sum
+from .emit import Kernel, Stages, emit_gather, emit_pull
 from .expressions import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 
-__all__ = ["native_pull", "native_sum"]
+__all__ = ["Stages", "native_gather", "native_pull"]
 
 Sample = Callable[..., Any]
 
 
-def native_sum(
-    sample: Sample, count: int, size: tuple[int, int], operands: tuple[Any, Any], backend: str
+def native_gather(
+    stages: Stages, count: int, size: tuple[int, int], operands: tuple[Any, Any], backend: str
 ) -> Callable[..., tuple[jax.Array, ...]] | None:
-    """A function that sums the samples on the CPU in native code.
+    """A function that gathers the samples of every pixel on the CPU in native code.
 
     Args:
-        sample: see `jaxblur.sample_sums.sum_samples`.
+        stages: what happens at a pixel.
         count: number of samples N.
         size: (H, W).
         operands: (local, tables); only shapes and types are used here.
@@ -32,12 +32,12 @@ def native_sum(
 
     Returns:
         A function of the moving pixels and the leaves of the operands, or None where XLA has to
-        do it.
+        do it. Its results are 0 at pixels without a moving one nearby.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    return _build(lambda: emit_sum(sample, count, size, *operands), backend)
+    return _build(lambda: emit_gather(stages, count, size, *operands), backend)
 
 
 def native_pull(
@@ -52,13 +52,13 @@ def native_pull(
     """A function that carries derivatives of the sums back to what the samples read.
 
     Args:
-        sample: as `native_sum`.
-        count: as `native_sum`.
-        size: as `native_sum`.
-        operands: as `native_sum`.
+        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays.
+        count: as `native_gather`.
+        size: as `native_gather`.
+        operands: as `native_gather`.
         active: positions of the leaves that are differentiated.
         terms: shapes and types of the sums.
-        backend: as `native_sum`.
+        backend: as `native_gather`.
 
     Returns:
         A function of the moving pixels, the leaves of the operands and one (H, W, 1) image a sum;
@@ -102,6 +102,8 @@ def _caller(target: str, kernel: Kernel) -> Callable[..., Any]:
     call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
 
     def run(moving: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, ...]:
+        # Flat, so that a plane that is both local and a table is one operand in memory.
+        leaves = tuple(leaf.reshape(-1) if leaf.ndim else leaf for leaf in leaves)
         values = dict(zip(order, call(moving, *leaves), strict=True))
         return tuple(values[position] for position in range(len(order)))
 

@@ -1,14 +1,14 @@
-"""Kernels in C++ for a sum over samples and for its transpose, from the traced sample function.
+"""Kernels in C++ for gathers along lines and their transpose, from traced functions.
 
-The sample function stays the one description of a filter: its jaxpr is written out for rows of
-neighboring pixels, one to each lane of a vector register. XLA's CPU compiler does not vectorize
+The traced functions stay the one description of a filter: their jaxprs are written out for rows
+of neighboring pixels, one to each lane of a vector register. XLA's CPU compiler does not vectorize
 a reduction whose order of summation matters.
 """
 
 import dataclasses
 import pathlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,21 @@ import numpy as np
 from .expressions import Level, Unsupported, Value, Writer
 
 TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
+_SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
+
+
+class Stages(NamedTuple):
+    """What happens at a pixel; elementwise but for reads of the tables.
+
+    Attributes:
+        prepare: from (local, tables) to a pytree of (H, W, 1) planes and scalars, once a pixel.
+        sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms.
+        finish: from (sums (H, W, 1), prepared, tables) to a tuple of (H, W, 1) results.
+    """
+
+    prepare: Callable[..., Any]
+    sample: Callable[..., Any]
+    finish: Callable[..., Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,99 +40,124 @@ class Kernel:
 
     Attributes:
         source: the program.
-        shapes: of every result in turn; (H, W) is a sum, a flat one a table that taps add to.
+        shapes: of every result in turn: (H, W) for a plane, flat for a table that taps add to.
     """
 
     source: str
     shapes: tuple[tuple[int, ...], ...]
 
 
-def _statements(results: Sequence[Value], adds: Sequence[bool]) -> list[str]:
-    """What a tap does to the results."""
-    planes = [result for result, table in zip(results, adds, strict=True) if not table]
-    tables = [result for result, table in zip(results, adds, strict=True) if table]
-    lines = [f"sums[{k}] += {plane.code};" for k, plane in enumerate(planes)]
-    for k, table in enumerate(tables):
-        if not table.additions and table.number != 0:
-            raise Unsupported("a table as a result that is not added to")
-        for index, value in table.additions:
-            lines.append(f"add(tables[{k}], {index.code}, {value.code}, lanes);")
-    return lines
+class _Program:
+    """A kernel that is being written.
+
+    Attributes:
+        writer: holds what has been written.
+        leaves: value of each operand after the moving pixels.
+    """
+
+    def __init__(
+        self, count: int, size: tuple[int, int], operands: Sequence[tuple[Any, bool]]
+    ) -> None:
+        self.writer = Writer()
+        numbered = enumerate(operands, start=1)
+        pairs = [self.writer.argument(k, leaf, table) for k, (leaf, table) in numbered]
+        self._declarations = [declaration for declaration, _ in pairs]
+        self.leaves = [value for _, value in pairs]
+        self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
+        self._numbers["ARGUMENT_COUNT"] = len(operands) + 1
+
+    def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
+        """Write a function of arrays of these shapes.
+
+        Returns:
+            The values of its results, and their shapes.
+        """
+        closed = jax.make_jaxpr(function)(*shapes)
+        values = self.writer.walk(closed.jaxpr, closed.consts, inputs)
+        return values, [variable.aval for variable in closed.jaxpr.outvars]
+
+    def sums(self, terms: Sequence[Value]) -> list[Value]:
+        """Sum terms over the samples."""
+        tap = self.writer.statements[Level.TAP]
+        tap.extend(f"sums[{k}] += {term.code};" for k, term in enumerate(terms))
+        self._numbers["SUMS"] = len(terms)
+        self.writer.finishing = True
+        return [Value(f"sums[{k}]", "float32", Level.PIXEL) for k in range(len(terms))]
+
+    def kernel(self, results: Sequence[Value], tables: Sequence[int] = ()) -> str:
+        """The program, with planes as results and tables of these sizes that taps add to."""
+        for k, result in enumerate(results):
+            if result.dtype != "float32":
+                raise Unsupported("results of another type than float32")
+            code = result.code if result.wide else f"wide({result.code})"
+            self.writer.last_statements.append(f"results[{k}] = {code};")
+        statements = self.writer.statements
+        parts = {
+            "CONSTANTS": self.writer.constants,
+            "ARGUMENTS": self._declarations + statements[Level.UNIFORM],
+            "PIXEL": statements[Level.PIXEL],
+            "SAMPLE": statements[Level.SAMPLE],
+            "TAP": statements[Level.TAP],
+            "FINISH": self.writer.last_statements,
+        }
+        sizes = {"TABLES": len(tables), "TABLE_SIZES": ", ".join(map(str, [*tables, 0]))}
+        numbers = self._numbers | sizes | {"RESULTS": len(results)}
+        texts = {name: "\n".join(lines) for name, lines in parts.items()}
+        source = TEMPLATE.read_text(encoding="utf-8")
+        for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
+            source = source.replace(f"@{name}@", text)
+        return source
 
 
-def _fill(
-    writer: Writer, declarations: list[str], numbers: dict[str, Any], results: list[str]
-) -> str:
-    """The program, from the template and what was collected."""
-    parts = {
-        "CONSTANTS": writer.constants,
-        "ARGUMENTS": declarations + writer.statements[Level.UNIFORM],
-        "PIXEL": writer.statements[Level.PIXEL],
-        "SAMPLE": writer.statements[Level.SAMPLE],
-        "TAP": writer.statements[Level.TAP] + results,
-    }
-    source = TEMPLATE.read_text(encoding="utf-8")
-    for name, number in numbers.items():
-        source = source.replace(f"@{name}@", str(number))
-    for name, lines in parts.items():
-        source = source.replace(f"@{name}@", "\n".join(lines))
-    return source
+def _shaped(tree: Any) -> Any:
+    """Shapes and types of a pytree of arrays."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(jnp.shape(leaf), leaf.dtype), tree)
 
 
-def _emit(
-    closed: Any, count: int, size: tuple[int, int], leaves: Sequence[tuple[Any, bool]]
-) -> Kernel:
-    """A kernel for a jaxpr of (sample number, leaves); each leaf says whether it is a table."""
-    writer = Writer()
-    declarations, inputs = [], [Value("i", "int32", Level.SAMPLE)]
-    for position, (leaf, table) in enumerate(leaves, start=1):
-        declaration, value = writer.argument(position, leaf, table)
-        declarations.append(declaration)
-        inputs.append(value)
-    results = writer.walk(closed.jaxpr, closed.consts, inputs)
-    if any(np.dtype(variable.aval.dtype) != np.float32 for variable in closed.jaxpr.outvars):
-        raise Unsupported("sums of another type than float32")
-    adds = tuple(variable.aval.ndim == 1 for variable in closed.jaxpr.outvars)
-    numbers = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
-    numbers |= {"ARGUMENT_COUNT": len(leaves) + 1, "SUMS": adds.count(False)}
-    sizes = [variable.aval.size for variable in closed.jaxpr.outvars if variable.aval.ndim == 1]
-    numbers |= {"TABLES": len(sizes), "TABLE_SIZES": ", ".join(map(str, [*sizes, 0]))}
-    source = _fill(writer, declarations, numbers, _statements(results, adds))
-    shapes = tuple(
-        variable.aval.shape if variable.aval.ndim == 1 else size
-        for variable in closed.jaxpr.outvars
-    )
-    return Kernel(source, shapes)
-
-
-def _leaves(local: Any, tables: Any) -> list[tuple[Any, bool]]:
+def _operands(local: Any, tables: Any) -> list[tuple[Any, bool]]:
     """Every leaf, and whether it is a table."""
-    return [(leaf, False) for leaf in jax.tree.leaves(local)] + [
-        (leaf, True) for leaf in jax.tree.leaves(tables)
-    ]
+    planes = [(leaf, False) for leaf in jax.tree.leaves(local)]
+    return planes + [(leaf, True) for leaf in jax.tree.leaves(tables)]
 
 
-def emit_sum(
-    sample: Callable[..., Any], count: int, size: tuple[int, int], local: Any, tables: Any
+def emit_gather(
+    stages: Stages, count: int, size: tuple[int, int], local: Any, tables: Any
 ) -> Kernel:
-    """Write the sum over samples of `jaxblur.sample_sums.sum_samples` in C++.
+    """Write `jaxblur.sample_sums.gather_samples` in C++.
 
     Args:
-        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays.
+        stages: what happens at a pixel.
         count: number of samples N.
         size: (H, W).
         local: pytree of (H, W, 1) planes and scalars.
-        tables: pytree of (H * W,) arrays.
+        tables: pytree of flat arrays.
 
     Returns:
-        The kernel; its operands are the moving pixels, the leaves of local, those of tables.
+        The kernel; its operands are the moving pixels, the leaves of local, those of tables. Its
+        results are 0 where no pixel of a block moves.
 
     Raises:
-        Unsupported: the sample uses an operation or a type that has no form in C++ here.
+        Unsupported: a stage uses an operation or a type that has no form in C++ here.
     """
+    program = _Program(count, size, _operands(local, tables))
+    table_values = program.leaves[len(jax.tree.leaves(local)) :]
+    shapes, table_shapes = _shaped(local), _shaped(tables)
+    prepared, _ = program.write(stages.prepare, (shapes, table_shapes), program.leaves)
+    prepared_shapes = jax.eval_shape(stages.prepare, shapes, table_shapes)
     index = jax.ShapeDtypeStruct((count,), jnp.int32)
-    closed = jax.make_jaxpr(sample)(index, local, tables)
-    return _emit(closed, count, size, _leaves(local, tables))
+    terms, term_shapes = program.write(
+        stages.sample,
+        (index, prepared_shapes, table_shapes),
+        [_SAMPLE_NUMBER, *prepared, *table_values],
+    )
+    sums = program.sums(terms)
+    sum_shapes = tuple(jax.ShapeDtypeStruct((*size, 1), term.dtype) for term in term_shapes)
+    results, _ = program.write(
+        stages.finish,
+        (sum_shapes, prepared_shapes, table_shapes),
+        [*sums, *prepared, *table_values],
+    )
+    return Kernel(program.kernel(results), (size,) * len(results))
 
 
 def emit_pull(
@@ -128,12 +168,12 @@ def emit_pull(
     active: Sequence[int],
     terms: Sequence[Any],
 ) -> Kernel:
-    """Write the transposed derivative of the sum in C++: from images to inputs.
+    """Write the transposed derivative of a sum over samples in C++: from images to inputs.
 
     Args:
-        sample: as `emit_sum`.
-        count: as `emit_sum`.
-        size: as `emit_sum`.
+        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays.
+        count: number of samples N.
+        size: (H, W).
         operands: (local, tables).
         active: positions of the leaves of (local, tables) that are differentiated.
         terms: shapes and types of the images, one for each sum.
@@ -145,18 +185,39 @@ def emit_pull(
     Raises:
         Unsupported: the sample uses an operation or a type that has no form in C++ here.
     """
-    structure = jax.tree.structure(operands)
-    leaves = _leaves(*operands)
+    leaves = _operands(*operands)
     # One sample at a time, and scalars as planes: then nothing is summed over an axis in there.
     plane = (*size, 1)
-    traced = [
+    shapes = [
         jax.ShapeDtypeStruct(leaf.shape if table or leaf.ndim else plane, leaf.dtype)
         for leaf, table in leaves
     ]
     images = [jax.ShapeDtypeStruct(plane, term.dtype) for term in terms]
+    program = _Program(count, size, leaves + [(image, False) for image in images])
+    results, result_shapes = program.write(
+        _pull_one(sample, jax.tree.structure(operands), active),
+        (jax.ShapeDtypeStruct((1,), jnp.int32), shapes, images),
+        [_SAMPLE_NUMBER, *program.leaves],
+    )
+    planes = [value for value, shape in zip(results, result_shapes, strict=True) if shape.ndim == 3]
+    tables = [
+        (value, shape.size)
+        for value, shape in zip(results, result_shapes, strict=True)
+        if shape.ndim == 1
+    ]
+    program.writer.statements[Level.TAP].extend(_additions([table for table, _ in tables]))
+    source = program.kernel(program.sums(planes), [length for _, length in tables])
+    flat = tuple(shape.shape if shape.ndim == 1 else size for shape in result_shapes)
+    return Kernel(source, flat)
 
-    def pull(index: jax.Array, leaves: list[jax.Array], images: list[jax.Array]):
-        def of_active(values):
+
+def _pull_one(
+    sample: Callable[..., Any], structure: Any, active: Sequence[int]
+) -> Callable[[jax.Array, list[jax.Array], list[jax.Array]], Any]:
+    """From the images to the active leaves, for one sample."""
+
+    def pull(index: jax.Array, leaves: list[jax.Array], images: list[jax.Array]) -> Any:
+        def of_active(values: list[jax.Array]) -> Any:
             changed = list(leaves)
             for position, value in zip(active, values, strict=True):
                 changed[position] = value
@@ -165,6 +226,15 @@ def emit_pull(
         _, transpose = jax.vjp(of_active, [leaves[position] for position in active])
         return transpose(tuple(images))[0]
 
-    closed = jax.make_jaxpr(pull)(jax.ShapeDtypeStruct((1,), jnp.int32), traced, images)
-    operands_of_kernel = leaves + [(image, False) for image in images]
-    return _emit(closed, count, size, operands_of_kernel)
+    return pull
+
+
+def _additions(tables: Sequence[Value]) -> list[str]:
+    """What a tap adds to tables."""
+    lines = []
+    for k, table in enumerate(tables):
+        if not table.additions and (table.number is None or np.any(table.number != 0)):
+            raise Unsupported("a table as a result that is not added to")
+        for index, value in table.additions:
+            lines.append(f"add(tables[{k}], {index.code}, {value.code}, lanes);")
+    return lines

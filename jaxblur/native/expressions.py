@@ -236,10 +236,19 @@ def _merged(first: Value, second: Value) -> Value:
 
 
 class Writer:
-    """Collects the statements of each level while walking through a jaxpr."""
+    """Collects the statements of each level while walking through jaxprs.
+
+    Attributes:
+        statements: by level.
+        finishing: set once the samples are done; what a pixel needs then is written after them.
+        last_statements: what is written after the samples.
+        constants: tables of numbers.
+    """
 
     def __init__(self) -> None:
         self.statements: dict[Level, list[str]] = {level: [] for level in Level}
+        self.finishing = False
+        self.last_statements: list[str] = []
         self.constants: list[str] = []
         self._names = 0
 
@@ -251,7 +260,9 @@ class Writer:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
         kind = _c_type(dtype, level >= Level.PIXEL)
-        self.statements[level].append(f"const {kind} {name} = {code};")
+        late = self.finishing and level == Level.PIXEL
+        statements = self.last_statements if late else self.statements[level]
+        statements.append(f"const {kind} {name} = {code};")
         return Value(name, dtype, level)
 
     def constant(self, value: Any) -> Value:

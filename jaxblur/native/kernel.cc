@@ -19,6 +19,7 @@ enum {
   WIDTH = @WIDTH@,
   COUNT = @COUNT@,
   SUMS = @SUMS@,
+  RESULTS = @RESULTS@, /* planes */
   TABLES = @TABLES@, /* results that taps add to anywhere */
 #ifdef __AVX512F__
   LANES = 16, /* pixels of a row that go through the samples together */
@@ -133,7 +134,7 @@ static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 struct Job {
   const uint8_t* moving;
   void* const* arguments;
-  float* sums[SUMS + 1];
+  float* results[RESULTS + 1];
   float* tables[TABLES + 1];
   int threads;
   std::atomic<int> next_row;
@@ -151,17 +152,19 @@ static void sum_row(const Job* job, float* const* tables, const int row) {
     const int64_t pixel = start + first;
     const Ints x = first + lane_numbers;
     (void)x, (void)y;
-    Floats sums[SUMS + 1] = {};
+    Floats results[RESULTS + 1] = {};
     int any = 0;
     for (int lane = 0; lane < lanes; ++lane) any |= job->moving[pixel + lane];
     if (any) {
+      Floats sums[SUMS + 1] = {};
 @PIXEL@
       for (int32_t i = 0; i < COUNT; ++i) {
 @SAMPLE@
 @TAP@
       }
+@FINISH@
     }
-    for (int k = 0; k < SUMS; ++k) store(job->sums[k] + pixel, sums[k], lanes);
+    for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
   }
 }
 
@@ -263,9 +266,9 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   job.moving = (const uint8_t*)arguments[0];
   job.arguments = arguments;
   job.next_row = 0;
-  for (int k = 0; k < SUMS; ++k)
-    job.sums[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
+  for (int k = 0; k < RESULTS; ++k)
+    job.results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
   for (int k = 0; k < TABLES; ++k)
-    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[SUMS + k])->data;
+    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[RESULTS + k])->data;
   return run(&job) ? nullptr : out_of_memory(frame->api);
 }

@@ -1,0 +1,230 @@
+"""Native kernels: equal to XLA's, used where they can be, and left alone where they cannot."""
+
+import concurrent.futures
+import functools
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import native, sample_sums, sampling
+from jaxblur.native import build
+
+pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
+
+# No multiple of the lanes of a vector, fewer rows than a thread takes, one pixel.
+SIZES = [(9, 37), (3, 16), (1, 1)]
+
+
+def make_frame(size, seed=0):
+    generator = np.random.default_rng(seed)
+    velocity = generator.normal(0, 4, (*size, 2))
+    velocity[: size[0] // 2] = 0
+    depth = generator.uniform(1, 5, size)
+    depth[0, 0] = np.inf
+    buffers = generator.random((*size, 3)), depth, velocity
+    return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
+
+
+def runs(name, **options):
+    """The filter by native code and by XLA, as functions of (frame, parameters)."""
+    samples = 9 if name == "mcguire2012" else 8
+    both = []
+    for backend in ("native", "xla"):
+        settings = jaxblur.Settings(samples=samples, radius=5, backend=backend, **options)
+        both.append(functools.partial(jaxblur.FILTERS[name], settings=settings))
+    return both
+
+
+def parameters_of(name):
+    return jaxblur.filters.PUBLISHED[name].parameters
+
+
+def assert_trees_close(ours, theirs, tolerance):
+    for a, b in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        scale = max(1.0, float(np.max(np.abs(b), initial=0)))
+        np.testing.assert_allclose(a, b, atol=tolerance * scale)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", sorted(jaxblur.FILTERS))
+def test_equals_xla(name, size):
+    by_native, by_xla = runs(name)
+    frame = make_frame(size)
+    ours = by_native(frame, parameters_of(name))
+    assert_trees_close(ours, by_xla(frame, parameters_of(name)), 2e-6)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"fetch": "bilinear"},
+        {"border": "clamp"},
+        {"tile_choice": "expected"},
+        {"split": "variance"},
+        {"directions": "one", "direction_weights": "off"},
+    ],
+    ids=lambda options: "-".join(options.values()),
+)
+def test_equals_xla_in_every_setting(options):
+    by_native, by_xla = runs("guertin2014", **options)
+    frame, parameters = make_frame((12, 35)), jaxblur.GuertinParameters()
+    assert_trees_close(by_native(frame, parameters), by_xla(frame, parameters), 2e-6)
+
+
+@pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
+def test_derivatives_equal_those_of_xla(fetch):
+    frame, parameters = make_frame((9, 21)), jaxblur.GuertinParameters()
+    parameters = jax.tree.map(jnp.float32, parameters)
+    target = make_frame((9, 21), seed=1).color
+
+    def derivatives(blur):
+        def loss(frame, parameters):
+            return jnp.mean((blur(frame, parameters) - target) ** 2)
+
+        direction = jax.tree.map(lambda leaf: jnp.cos(7 * leaf), (frame.color, frame.velocity))
+
+        def along(step):
+            moved = [leaf + step * d for leaf, d in zip(buffers, direction, strict=True)]
+            return loss(jaxblur.Frame(moved[0], frame.depth, moved[1]), parameters)
+
+        buffers = (frame.color, frame.velocity)
+        reverse = jax.grad(loss, argnums=(0, 1), allow_int=False)(frame, parameters)
+        alone = jax.grad(loss, argnums=1)(frame, parameters)
+        return reverse, alone, jax.jvp(along, (0.0,), (1.0,))
+
+    ours, theirs = map(derivatives, runs("guertin2014", fetch=fetch, tile_choice="own"))
+    assert_trees_close(ours, theirs, 2e-5)
+
+
+def test_second_derivatives_and_batches_equal_those_of_xla():
+    frame, parameters = make_frame((4, 18)), jaxblur.GuertinParameters()
+    colors = jnp.stack([make_frame((4, 18), seed).color for seed in (2, 3)])
+
+    def derivatives(blur):
+        def loss(kappa, color):
+            changed = jaxblur.GuertinParameters(kappa=kappa)
+            moved = jaxblur.Frame(color, frame.depth, frame.velocity)
+            return jnp.sum(blur(moved, changed) ** 2)
+
+        curvature = jax.hessian(loss)(40.0, colors[0])
+        of_batch = jax.grad(lambda c: jnp.sum(jax.vmap(lambda one: loss(40.0, one))(c)))(colors)
+        per_frame = jax.vmap(jax.grad(loss, argnums=1), (None, 0))(40.0, colors)
+        mixed = jax.jvp(lambda c: jax.grad(loss, argnums=1)(40.0, c), (colors[0],), (colors[1],))
+        return curvature, of_batch, per_frame, mixed
+
+    del parameters
+    ours, theirs = map(derivatives, runs("guertin2014", tile_choice="own"))
+    assert_trees_close(ours, theirs, 2e-5)
+
+
+def test_the_same_frame_gives_the_same_bits():
+    by_native, _ = runs("guertin2014", fetch="bilinear")
+    frame, parameters = make_frame((40, 64)), jaxblur.GuertinParameters()
+    loss = jax.jit(jax.value_and_grad(lambda frame: jnp.sum(by_native(frame, parameters) ** 2)))
+    first, second = loss(frame), loss(frame)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_nan_and_infinity_pass_through_as_with_xla():
+    frame = make_frame((6, 20))
+    color = frame.color.at[4, 7].set(jnp.nan).at[5, 12].set(jnp.inf)
+    velocity = frame.velocity.at[5, 3].set(jnp.nan)
+    frame = jaxblur.Frame(color, frame.depth, velocity)
+    ours, theirs = (blur(frame, jaxblur.GuertinParameters()) for blur in runs("guertin2014"))
+    np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+    np.testing.assert_array_equal(np.isinf(ours), np.isinf(theirs))
+
+
+def sum_of(function, tables=None, backend="native", dtype=jnp.float32):
+    """Sum of a function of (index, plane, table) over 3 samples of a 5 x 19 image."""
+    plane = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (5, 19, 1)), dtype)
+    tables = {"t": plane.reshape(-1)} if tables is None else tables
+
+    def sample(index, local, tables):
+        return (function(index, local["a"], tables["t"]),)
+
+    moving = jnp.ones((5, 19), bool)
+    return sample_sums.sum_samples(sample, 3, moving, {"a": plane}, tables, backend)[0]
+
+
+def own_place(a):
+    columns = a.shape[1]
+    row = jax.lax.broadcasted_iota(jnp.int32, a.shape, 0)
+    return row * columns + jax.lax.broadcasted_iota(jnp.int32, a.shape, 1)
+
+
+OPERATIONS = {
+    "elementary": lambda i, a, t: jnp.sin(a) + jnp.cos(a * i) + jnp.tanh(a) + jnp.exp(a),
+    "roots": lambda i, a, t: jnp.sqrt(jnp.abs(a) + i) + jax.lax.rsqrt(a * a + 1) + jnp.cbrt(a * 0),
+    "logarithms": lambda i, a, t: jnp.log(a * a + 1) + jnp.log1p(a * a),
+    "powers": lambda i, a, t: a**3 + (jnp.abs(a) + 1) ** (-2) + (a * a) ** 1.3,
+    "rounding": lambda i, a, t: jnp.floor(a * i) + jnp.ceil(a) + jnp.sign(a),
+    "remainders": lambda i, a, t: jnp.fmod(a, 0.7) + (i % 2) * a,
+    "comparisons": lambda i, a, t: jnp.where((a > 0) & (a < 1) | ~(a >= -1), a, i == 1),
+    "extremes": lambda i, a, t: jnp.clip(a * i, -1, 1) + jnp.minimum(a, 0.3) * jnp.maximum(a, i),
+    "integers": lambda i, a, t: jnp.abs(jnp.clip((a * 3).astype(jnp.int32), -2, 4) - i) * a,
+    "reads": lambda i, a, t: sampling.read_nearest(t, (own_place(a) * 7 + i) % (5 * 19)) * a,
+    "constants": lambda i, a, t: a * jnp.asarray([0.5, -1.0, 2.0])[None, None, :],
+}
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATIONS if name != "roots"])
+def test_operations_mean_the_same(name):
+    ours, theirs = (sum_of(OPERATIONS[name], backend=kind) for kind in ("native", "xla"))
+    np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=2e-6)
+
+
+def test_what_has_no_native_form_is_left_to_xla(caplog):
+    with pytest.raises(ValueError, match="'native', but the samples use the operation cbrt"):
+        sum_of(OPERATIONS["roots"])
+    with caplog.at_level(logging.INFO, logger="jaxblur"):
+        ours = sum_of(OPERATIONS["roots"], backend="auto")
+    assert "the operation cbrt" in caplog.text
+    np.testing.assert_array_equal(ours, sum_of(OPERATIONS["roots"], backend="xla"))
+
+
+def test_float64_is_left_to_xla():
+    with jax.enable_x64(True):
+        with pytest.raises(ValueError, match="float64"):
+            sum_of(OPERATIONS["powers"], dtype=jnp.float64)
+        assert sum_of(OPERATIONS["powers"], backend="auto", dtype=jnp.float64).dtype == jnp.float64
+
+
+def test_without_a_compiler_xla_does_the_work(monkeypatch):
+    monkeypatch.setattr(native, "find_compiler", lambda: None)
+    with pytest.raises(ValueError, match="there is no C\\+\\+ compiler; use 'auto' or 'xla'"):
+        sum_of(OPERATIONS["powers"])
+    ours = sum_of(OPERATIONS["powers"], backend="auto")
+    np.testing.assert_array_equal(ours, sum_of(OPERATIONS["powers"], backend="xla"))
+
+
+def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_path):
+    broken = tmp_path / "c++"
+    broken.write_text("#!/bin/sh\necho 'no such thing as vectors' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
+    with pytest.raises(build.BuildFailed, match="no such thing as vectors"):
+        build.register("a program that no other test compiles")
+
+
+def test_kernels_are_kept_and_made_by_several_threads_at_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = 'extern "C" void* @NAME@(void*) { return 0; }'
+    with concurrent.futures.ThreadPoolExecutor(3) as pool:
+        names = set(pool.map(lambda _: build.register.__wrapped__(source), range(3)))
+    assert len(names) == 1
+    kept = list((tmp_path / "jaxblur" / "kernels").iterdir())
+    assert [path.name for path in kept] == [f"{names.pop()}.so"]
+    assert (tmp_path / "jaxblur" / "kernels").stat().st_mode & 0o077 == 0
+
+
+def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path):
+    (tmp_path / "jaxblur").write_text("a file where the folder should be")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = 'extern "C" void* @NAME@(void*) { return (void*)8; }'
+    assert build.register.__wrapped__(source).startswith("jaxblur_sum_")
