@@ -1,4 +1,5 @@
 from . import (
+    devices as devices,
     exr as exr,
     fitting as fitting,
     metrics as metrics,

@@ -77,7 +77,7 @@ def _blur_batch(
     settings: Settings,
     chunk: int,
 ) -> jax.Array:
-    batched_noise = noise is not None and jnp.ndim(noise.tap) == NOISE_AXES["tap"]
+    batched_noise = noise is not None and has_frame_axis(noise)
 
     def blur(each: tuple[Frame, Noise | None]) -> jax.Array:
         frame, own = each
@@ -88,6 +88,11 @@ def _blur_batch(
     return lax.map(
         blur, (frames, noise if batched_noise else None), batch_size=None if chunk == 1 else chunk
     )
+
+
+def has_frame_axis(noise: Noise) -> bool:
+    """Tell noise that each frame has its own of from noise that all share."""
+    return jnp.ndim(noise.tap) == NOISE_AXES["tap"]
 
 
 def filter_name(filter: str | Callable[..., Any]) -> str:
@@ -125,7 +130,7 @@ def _check_batch(frames: Frame, noise: Noise | None, chunk: int) -> None:
                 "*frames)."
             )
         counts[f"frames.{name}"] = len(buffer)
-    if noise is not None and jnp.ndim(noise.tap) == NOISE_AXES["tap"]:
+    if noise is not None and has_frame_axis(noise):
         counts |= {f"noise.{name}": len(getattr(noise, name)) for name in NOISE_AXES}
     if len(set(counts.values())) != 1 or 0 in counts.values():
         listing = ", ".join(f"`{name}` {count}" for name, count in counts.items())

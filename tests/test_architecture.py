@@ -25,13 +25,14 @@ CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 FILES = {"vectors", "exr", "pictures", "sequence"}
-MIDDLE = {"batch", "bench", "fitting", "planning", "report"}
+MIDDLE = {"batch", "bench", "devices", "fitting", "planning", "report"}
 TOP = {"cli", "demo", "__main__"}
 
 MAY_IMPORT = {
     **dict.fromkeys(LOWEST | OPERATORS | JUDGES, LOWEST),
     "filters": LOWEST | OPERATORS,
     "batch": LOWEST | {"filters"},
+    "devices": LOWEST | {"filters", "batch"},
     "vectors": LOWEST,
     "exr": LOWEST | {"vectors"},
     "pictures": LOWEST | {"exr", "metrics"},

@@ -1,0 +1,279 @@
+"""Several devices of one machine: whole frames on each, or rows of one frame on each.
+
+`blur_frames` gives every device its share of the frames. `blur_rows` cuts one frame into blocks
+of rows; every device gets, from its neighbors, as many rows more to either side as its result
+depends on, so that the result is that of the whole frame: the same tiles, the same noise, the same
+border.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float
+
+from .batch import blur_batch, filter_name, has_frame_axis
+from .filters import FILTERS, PUBLISHED
+from .filters.reaching import fine_tile
+from .frame import Frame
+from .noise import Noise, resolve_noise
+from .settings import Settings
+
+AXIS = "device"
+
+
+def blur_frames(
+    filter: str | Callable[..., Any],
+    frames: Frame,
+    parameters: Any = None,
+    *,
+    settings: Settings | None = None,
+    noise: Noise | None = None,
+    chunk: int = 1,
+    devices: Sequence[Any] | None = None,
+) -> Float[Array, "frames height width channels"]:
+    """Blur frames that are stacked on a leading axis, every device its share of them.
+
+    Args:
+        filter: as `jaxblur.blur_batch`.
+        frames: as `jaxblur.blur_batch`; any number, the last frame is repeated to fill up.
+        parameters: as `jaxblur.blur_batch`.
+        settings: as `jaxblur.blur_batch`.
+        noise: as `jaxblur.blur_batch`.
+        chunk: frames that one device blurs together.
+        devices: all of the default kind if None.
+
+    Returns:
+        (F, H, W, C), as `jaxblur.blur_batch` on one device.
+
+    Raises:
+        ValueError: as `jaxblur.blur_batch`.
+    """
+    mesh = _mesh(devices)
+    own_noise = noise is not None and has_frame_axis(noise)
+    count = len(frames.color)
+    batch = _spread((frames, noise if own_noise else None), mesh, -count % mesh.size)
+    shared = jax.device_put((parameters, None if own_noise else noise), _everywhere(mesh))
+    name = filter_name(filter)
+    return _blur_frames(batch, shared, name=name, settings=settings, chunk=chunk, mesh=mesh)[:count]
+
+
+@functools.partial(jax.jit, static_argnames=("name", "settings", "chunk", "mesh"))
+def _blur_frames(
+    batch: Any, shared: Any, *, name: str, settings: Settings | None, chunk: int, mesh: Mesh
+) -> jax.Array:
+    def blur(batch: Any, shared: Any) -> jax.Array:
+        options = {"settings": settings, "noise": batch[1] or shared[1], "chunk": chunk}
+        return blur_batch(name, batch[0], shared[0], **options)
+
+    return _on_each(blur, mesh)(batch, shared)
+
+
+def blur_rows(
+    filter: str | Callable[..., Any],
+    frame: Frame,
+    parameters: Any = None,
+    *,
+    settings: Settings | None = None,
+    noise: Noise | None = None,
+    devices: Sequence[Any] | None = None,
+) -> Float[Array, "height width channels"]:
+    """Blur one frame, every device a block of its rows.
+
+    Fewer devices are used where the blocks would be smaller than what they need of each other,
+    for guertin2014 as published less than 80 rows.
+
+    Args:
+        filter: a key of `jaxblur.FILTERS`, or one of its functions.
+        frame: as the filter takes it.
+        parameters: of the filter, as numbers: how far a tap reaches hangs on them; the published
+            ones if None.
+        settings: of the filter; the published ones if None.
+        noise: replaces the built-in noise, for the whole frame.
+        devices: all of the default kind if None.
+
+    Returns:
+        (H, W, C), what the filter returns for the frame. With noise that is passed it is so to the
+        bit where taps read the nearest texel; bilinear positions and the shares of
+        ``split="variance"`` are rounded at other places. The built-in noise is that of the whole
+        frame, but XLA rounds it in the last digits as it fuses it with a program, which moves
+        single taps by a texel: pass ``jaxblur.noise.make_noise`` to both for equal bits.
+
+    Raises:
+        ValueError: as the filter, or the parameters are traced.
+    """
+    name = filter_name(filter)
+    parameters = PUBLISHED[name][0] if parameters is None else parameters
+    settings = PUBLISHED[name][1] if settings is None else settings
+    height, width = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, height, width)
+    blocks = plan_rows(height, len(_devices(devices)), *row_reach(name, parameters, settings))
+    if blocks.count == 1:
+        return FILTERS[name](frame, parameters, settings=settings, noise=noise)
+    mesh = _mesh(_devices(devices)[: blocks.count])
+    rows = _spread((frame, noise), mesh, blocks.count * blocks.rows - height)
+    shared = jax.device_put(parameters, _everywhere(mesh))
+    return _blur_rows(rows, shared, name=name, settings=settings, blocks=blocks, mesh=mesh)[:height]
+
+
+@functools.partial(jax.jit, static_argnames=("name", "settings", "blocks", "mesh"))
+def _blur_rows(
+    rows: Any, shared: Any, *, name: str, settings: Settings, blocks: "Blocks", mesh: Mesh
+) -> jax.Array:
+    windows = sorted(set(blocks.windows))
+    chosen = jnp.asarray([windows.index(window) for window in blocks.windows])
+    # Shapes differ between the blocks at the border and the others, and each device runs one.
+    branches = [functools.partial(_blur_window, name, settings, blocks, each) for each in windows]
+
+    def blur(rows: Any, parameters: Any) -> jax.Array:
+        own = jax.tree.map(functools.partial(_with_halo, blocks=blocks), rows)
+        return lax.switch(chosen[lax.axis_index(AXIS)], branches, own, parameters)
+
+    return _on_each(blur, mesh)(rows, shared)
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocks:
+    """How rows are shared; all blocks but the last have the same number of rows of the image.
+
+    Attributes:
+        height: rows of the image.
+        count: number of blocks.
+        rows: of a block.
+        halo: rows that a block needs of each neighbor.
+    """
+
+    height: int
+    count: int
+    rows: int
+    halo: int
+
+    @property
+    def windows(self) -> list[tuple[int, int]]:
+        """For each block the part of (halo, block, halo) that lies inside the image."""
+        ends = [min(self.rows + self.halo, self.height - i * self.rows) for i in range(self.count)]
+        return [(self.halo if i == 0 else 0, self.halo + end) for i, end in enumerate(ends)]
+
+
+def plan_rows(height: int, devices: int, alignment: int, reach: int) -> Blocks:
+    """Cut a frame into blocks of rows.
+
+    Args:
+        height: rows of the frame.
+        devices: blocks at most.
+        alignment: blocks begin at multiples of so many rows, where tiles begin.
+        reach: rows to either side that the result of a row may depend on.
+
+    Returns:
+        As many blocks as devices, or fewer where a block would be smaller than its halo.
+
+    >>> plan_rows(1080, 4, 40, 80)
+    Blocks(height=1080, count=4, rows=280, halo=80)
+    """
+    tiles, halo = math.ceil(height / alignment), math.ceil(reach / alignment)
+    each = max(math.ceil(tiles / devices), halo, 1)
+    return Blocks(height, math.ceil(tiles / each), each * alignment, halo * alignment)
+
+
+def row_reach(name: str, parameters: Any, settings: Settings) -> tuple[int, int]:
+    """On how many rows to either side the result of a row may depend.
+
+    Args:
+        name: a key of `jaxblur.FILTERS`.
+        parameters: of the filter.
+        settings: of the filter.
+
+    Returns:
+        Rows from one tile to the next, and rows to either side of a tile.
+
+    Raises:
+        ValueError: the parameters are traced, or it is not known for this filter.
+    """
+    radius = settings.radius
+    # One for bilinear reads, one for colors that masked pixels take from their neighbors.
+    taps = math.ceil(radius * _farthest_tap(name, parameters, settings)) + 2
+    if name == "pixel_velocity":
+        return 1, taps
+    if name == "mcguire2012":
+        return radius, max(radius, taps)
+    if name == "guertin2014":
+        # The ring of a tile that a pixel may read beside its own; with `split` the ring of that.
+        rings = 2 + (settings.split == "variance")
+        return radius, max(rings * radius, taps)
+    if name == "layered":
+        # Lines as long as the motion reach the tile that a pixel reads; taps go as far again.
+        return fine_tile(radius), 2 * taps + fine_tile(radius)
+    raise ValueError(f"`filter` must be one whose reach is known, got {name!r}.")
+
+
+def _farthest_tap(name: str, parameters: Any, settings: Settings) -> float:
+    """The largest ``|t|`` of a tap, in units of the radius; jitter may carry it beyond 1."""
+    jitter = 0.5
+    if name == "guertin2014":
+        try:
+            jitter = float(parameters.eta) * float(parameters.phi) / settings.samples
+        except jax.errors.ConcretizationTypeError as error:
+            raise ValueError(
+                "`parameters` must be numbers here, not traced: how far a tap reaches hangs on "
+                "them; close over them, or use one device."
+            ) from error
+    return max(1.0, 1 + 2 * (jitter - 1) / (settings.samples + 1))
+
+
+def _blur_window(
+    name: str,
+    settings: Settings,
+    blocks: Blocks,
+    window: tuple[int, int],
+    own: tuple[Frame, Noise],
+    parameters: Any,
+) -> jax.Array:
+    """Blur what lies inside the image of a block and its halo, and give the block."""
+    start, end = window
+    frame, noise = jax.tree.map(lambda buffer: buffer[start:end], own)
+    image = FILTERS[name](frame, parameters, settings=settings, noise=noise)
+    image = image[blocks.halo - start :][: blocks.rows]
+    return jnp.pad(image, ((0, blocks.rows - len(image)), (0, 0), (0, 0)))
+
+
+def _with_halo(buffer: jax.Array, blocks: Blocks) -> jax.Array:
+    """A block between the rows that its neighbors lend; zeros beyond the first and last."""
+    halo, last = blocks.halo, blocks.count - 1
+    above = lax.ppermute(buffer[-halo:], AXIS, [(i, i + 1) for i in range(last)])
+    below = lax.ppermute(buffer[:halo], AXIS, [(i + 1, i) for i in range(last)])
+    return jnp.concatenate([above, buffer, below])
+
+
+def _devices(devices: Sequence[Any] | None) -> list[Any]:
+    return list(jax.devices() if devices is None else devices)
+
+
+def _mesh(devices: Sequence[Any] | None) -> Mesh:
+    return Mesh(np.asarray(_devices(devices)), (AXIS,))
+
+
+def _everywhere(mesh: Mesh) -> NamedSharding:
+    return NamedSharding(mesh, PartitionSpec())
+
+
+def _spread(buffers: Any, mesh: Mesh, padding: int) -> Any:
+    """Lengthen the leading axis by repeating its end, and cut it over the devices."""
+
+    def longer(buffer: Any) -> jax.Array:
+        buffer = jnp.asarray(buffer)
+        return jnp.pad(buffer, ((0, padding), *((0, 0),) * (buffer.ndim - 1)), mode="edge")
+
+    return jax.device_put(jax.tree.map(longer, buffers), NamedSharding(mesh, PartitionSpec(AXIS)))
+
+
+def _on_each(function: Callable[..., jax.Array], mesh: Mesh) -> Callable[..., jax.Array]:
+    """Run a function on every device: its share of the first argument, all of the second."""
+    cut, whole = PartitionSpec(AXIS), PartitionSpec()
+    return jax.shard_map(function, mesh=mesh, in_specs=(cut, whole), out_specs=cut, check_vma=False)

@@ -1,0 +1,123 @@
+"""Several devices give what one gives; forced host devices, in a process of their own."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import jaxblur
+from jaxblur.devices import Blocks, plan_rows, row_reach
+
+SCRIPT = """
+import dataclasses, json
+import jax, jax.numpy as jnp, numpy as np
+import jaxblur
+from jaxblur.devices import blur_frames, blur_rows
+from jaxblur.filters import FILTERS, PUBLISHED
+from tests.helpers import random_frame, random_noise
+
+devices, report = jax.devices(), {}
+
+def note(label, one, many, color):
+    difference, change = (np.abs(np.asarray(other) - one).max() for other in (many, color))
+    report[label] = float(difference), float(change), len(many.sharding.device_set)
+
+def rows(label, name, shape, used, settings={}, **fields):
+    frame = dataclasses.replace(random_frame(shape, speed=30.0), **fields)
+    settings = jaxblur.Settings(**{"samples": 7, "radius": 8} | settings)
+    options = {"settings": settings, "noise": random_noise(shape)}
+    one = FILTERS[name](frame, PUBLISHED[name][0], **options)
+    note(label, one, blur_rows(name, frame, devices=devices[:used], **options), frame.color)
+
+for name in ("mcguire2012", "pixel_velocity", "layered"):
+    rows(name, name, (61, 20), 2)
+mask = jnp.asarray(np.random.default_rng(5).random((79, 24)) > 0.2)
+rows("three, masked", "guertin2014", (79, 24), 3, valid=mask)
+rows("few rows", "pixel_velocity", (9, 24), 3)
+rows("far taps", "guertin2014", (120, 24), 2, {"samples": 2, "radius": 6, "border": "clamp"})
+rows("rounded", "guertin2014", (61, 24), 2, {"split": "variance", "fetch": "bilinear"})
+
+frames = jax.tree.map(lambda *b: jnp.stack(b), *(random_frame((24, 20), seed=k) for k in range(5)))
+settings = jaxblur.Settings(samples=7, radius=8)
+options = {"settings": settings, "noise": random_noise((24, 20))}
+one = jaxblur.blur_batch("pixel_velocity", frames, **options)
+note("frames", one, blur_frames("pixel_velocity", frames, **options), frames.color)
+
+def of(phi):
+    return blur_rows("guertin2014", random_frame((90, 24)), jaxblur.GuertinParameters(phi=phi))
+
+try:
+    jax.jit(of)(27.0)
+except ValueError as error:
+    report["traced"] = str(error)
+print(json.dumps(report))
+"""
+
+
+@pytest.fixture(scope="module")
+def report():
+    """Largest difference to one device, largest change by the filter, devices used."""
+    flags = "--xla_force_host_platform_device_count=3 --xla_backend_optimization_level=1"
+    outcome = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+        timeout=400,
+    )
+    assert outcome.returncode == 0, outcome.stderr
+    return json.loads(outcome.stdout)
+
+
+ROWS = ("mcguire2012", "pixel_velocity", "layered", "three, masked", "far taps")
+
+
+@pytest.mark.parametrize("label", ROWS)
+def test_rows_are_those_of_the_whole_frame_to_the_bit(report, label):
+    difference, change, devices = report[label]
+    assert difference == 0
+    assert change > 0.1 and devices == (3 if label == "three, masked" else 2)
+
+
+def test_rows_where_positions_are_rounded_at_other_places(report):
+    difference, change, devices = report["rounded"]
+    assert difference < 1e-5
+    assert change > 0.1 and devices == 2
+
+
+def test_a_frame_of_few_rows_stays_on_one_device(report):
+    assert report["few rows"][0] == 0 and report["few rows"][2] == 1
+
+
+def test_frames_are_those_of_one_device(report):
+    difference, change, devices = report["frames"]
+    assert difference < 1e-6
+    assert change > 0.1 and devices == 3
+
+
+def test_traced_parameters_are_refused(report):
+    assert "`parameters` must be numbers here" in report["traced"]
+
+
+def test_blocks_begin_where_tiles_begin_and_cover_the_frame():
+    blocks = plan_rows(height=103, devices=4, alignment=8, reach=16)
+    assert blocks == Blocks(height=103, count=4, rows=32, halo=16)
+    # The first has nothing above; the last but one sees only the seven rows of the last.
+    assert blocks.windows == [(16, 64), (0, 64), (0, 55), (0, 23)]
+
+
+def test_blocks_are_no_smaller_than_their_halo():
+    assert plan_rows(height=100, devices=50, alignment=8, reach=24).rows == 24
+    assert plan_rows(height=16, devices=4, alignment=8, reach=24).count == 1
+
+
+def test_how_far_a_result_depends_on_other_rows():
+    parameters, settings = jaxblur.GuertinParameters(), jaxblur.Settings(samples=35, radius=40)
+    assert row_reach("guertin2014", parameters, settings) == (40, 80)
+    # Few samples are jittered far beyond the end of their line: 13 spacings of two thirds.
+    few = jaxblur.Settings(samples=2, radius=40)
+    assert row_reach("guertin2014", parameters, few)[1] == 40 * 8.883 // 1 + 3
+    with pytest.raises(ValueError, match="whose reach is known"):
+        row_reach("unknown", None, settings)
