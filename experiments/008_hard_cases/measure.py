@@ -263,7 +263,7 @@ def broken_invariants(setup: Setup, frame: jaxblur.Frame) -> list[str]:
     return [name for name, is_broken in checks.items() if is_broken()]
 
 
-SEES_DEPTH_RATIOS = ("guertin2014",)
+SEES_DEPTH_RATIOS = ("guertin2014", "layered")
 """Filters that compare depths by their ratio, so that the unit of depth does not matter."""
 
 
