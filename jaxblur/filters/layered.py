@@ -19,16 +19,19 @@ from jax import lax
 from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
-from ..sample_sums import sum_samples
+from ..sample_sums import Stages, gather_samples
 from ..sampling import color_table, read_color, read_nearest, read_position
 from ..settings import Settings
-from ..tiles import clamp_speed
-from ..weights import finite_depth
+from ..tiles import own_tile
+from ..weights import SPEED_FLOOR, finite_depth
 from .masking import honoring_mask
-from .reaching import SLOWEST, fine_tile, reaching_pixels
-from .silhouettes import purest_neighbor
+from .reaching import fine_tile, reaching_pixels
+from .silhouettes import purest_motion
 
 GUESSES = 3
+
+SMALLEST_WEIGHT = 1e-3
+"""Slices of which less is known together do not count."""
 
 
 @jax.tree_util.register_dataclass
@@ -130,82 +133,100 @@ def _slice(size, settings, count, index, local, tables):
     return (*mixed, weight)
 
 
-def _once(moves, function, planes, *more):
-    """Apply a function to planes where anything moves at all, else give its first ones back.
-
-    XLA would compute what leads to a read again for each of the reads; it does not look into
-    conditionals.
-    """
-    return lax.cond(moves, function, lambda planes, *_: list(planes), list(planes), *more)
-
-
-def _purest(planes, log_depth, sharpness):
-    """The planes of a motion, at silhouettes read where the motion is least mixed."""
-    index = purest_neighbor(planes[0], planes[1], log_depth, sharpness)
-    return [read_nearest(plane.reshape(-1), index) for plane in planes]
+def _motion(frame, parameters, settings, log_depth):
+    """Velocity x, y and half the acceleration x, y of every pixel; the latter needs a path."""
+    motion = frame.velocity
+    if frame.path is not None:
+        opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
+        motion = jnp.concatenate([closing - opening, opening + closing], axis=-1) / 2
+    x, y, *half = purest_motion(motion, log_depth, parameters.surface_sharpness, settings.backend)
+    speed = safe_norm(x, y)
+    scale = jnp.minimum(1, settings.radius / jnp.maximum(speed, settings.radius))
+    return x * scale, y * scale, jnp.minimum(speed, settings.radius), half
 
 
-def _turn(velocity, log_depth, sharpness):
+def _turn(size, local, tables):
     """Change of velocity along the own way, (v . grad) v; 0 beyond the ends of the surface."""
-    x, y = velocity
+    x, y = local["velocity"]
     squared = jnp.square(x) + jnp.square(y)
-    planes = [plane.reshape(-1) for plane in (x, y, log_depth)]
 
     def change(side):
-        texels = read_position(side * x[..., None], side * y[..., None], x.shape, "clamp")
-        near_x, near_y, near_depth = (read_nearest(p, texels.index)[..., 0] for p in planes)
-        near_x, near_y = near_x - x, near_y - y
-        alike = jnp.square(near_x) + jnp.square(near_y) < 0.25 * squared
-        alike = alike & (jnp.abs(near_depth - log_depth) * sharpness < 1)
-        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), jnp.where(alike, 0.5, 0)
+        index = read_position(side * x, side * y, size, "clamp").index
+        near = {name: read_nearest(plane, index) for name, plane in tables["motion"].items()}
+        near_x, near_y = near["x"] - x, near["y"] - y
+        depth_apart = jnp.abs(near["depth"] - local["depth"]) * local["surface_sharpness"]
+        alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)
+        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), alike.astype(x.dtype)
 
     ahead, back = change(0.5), change(-0.5)
-    scale = 1 / jnp.maximum(ahead[2] + back[2], 0.5)
-    return [scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])]
+    scale = 2 / jnp.maximum(ahead[2] + back[2], 1)
+    return scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])
 
 
-def _motion(frame, parameters, settings, log_depth):
-    """Velocity, turn and bend of the own way of every pixel, each as x and y.
+def _others(local, tables):
+    """For both velocities of the tile: x, y, and how surely it is no other than the own one."""
+    x, y = local["velocity"]
+    others = []
+    for table in tables["tiles"]:
+        other_x, other_y = (read_nearest(table, 2 * local["tile"] + axis) for axis in (0, 1))
+        apart = jnp.square(other_x - x) + jnp.square(other_y - y)
+        differs = jnp.clip(2 * apart / jnp.square(local["distinct"]) - 1, 0, 1)
+        exists = (other_x != 0) | (other_y != 0)
+        differs = jnp.where(exists, differs, 0)
+        others.append((x + differs * (other_x - x), y + differs * (other_y - y), 1 - differs))
+    return others
+
+
+def _ways(local, turn, others):
+    """The three ways to guess along: velocity, turn, bend and share of "own" of each.
 
     A point s gets to p at time t if ``s + t v(s) + t^2 a(s) = p``, a being half its acceleration;
     to second order ``s = p - t v + t^2 ((v . grad) v - a)``. Where no path tells a, velocities
     are taken to stay where they are in the image, and a is half the turn.
     """
-    velocity, sharpness = frame.velocity, parameters.surface_sharpness
-    if frame.path is not None:
-        velocity = (frame.path[..., 1, :] - frame.path[..., 0, :]) / 2
-    velocity, _ = clamp_speed(velocity, settings.radius)
-    planes = [velocity[..., 0], velocity[..., 1]]
-    if frame.path is not None:
-        planes += [(frame.path[..., 0, axis] + frame.path[..., 1, axis]) / 2 for axis in (0, 1)]
-    moves = jnp.any(planes[0] != 0) | jnp.any(planes[1] != 0)
-    x, y, *half = _once(moves, _purest, planes, log_depth, sharpness)
-    turn = _once(moves, _turn, (x, y), log_depth, sharpness)
-    bend = tuple(
-        component - half[axis] if half else parameters.bend * component
-        for axis, component in enumerate(turn)
-    )
-    return (x, y), tuple(turn), bend
+    if local["half"]:
+        bend = [part - half for part, half in zip(turn, local["half"], strict=True)]
+    else:
+        bend = [local["bend"] * part for part in turn]
+    ways = [(local["velocity"], turn, bend, 1)]
+    for x, y, own in others:
+        ways.append(((x, y), [own * part for part in turn], [own * part for part in bend], own))
+    return ways
 
 
-def _ways(motion, pixels, size, parameters):
-    """The three ways to guess along: velocity, turn, bend and share of "own" of each."""
-    (x, y), *curves = motion
-    height, width = x.shape
-    ways = [(*motion, jnp.ones_like(x))]
-    for grid in pixels:
-        pixel = jnp.maximum(grid, 0)
-        exists, other_x, other_y = (
-            jnp.repeat(jnp.repeat(plane, size, axis=0), size, axis=1)[:height, :width]
-            for plane in (grid >= 0, x.reshape(-1)[pixel], y.reshape(-1)[pixel])
+def _prepare(size, local, tables):
+    """What the slices of a pixel use as it is."""
+    others = _others(local, tables)
+    x, y = local["velocity"]
+    squared = jnp.square(x) + jnp.square(y)
+    tolerance = jnp.square(local["own_tolerance"]) * (squared + SPEED_FLOOR**2)
+    moving = squared > SPEED_FLOOR**2
+    for _, _, own in others:
+        moving = moving | (own < 1)
+    return {
+        "ways": _ways(local, _turn(size, local, tables), others),
+        "moving": moving,
+        "inverse_own": 1 / tolerance,
+        "inverse_tolerance": 1 / jnp.square(local["landing_tolerance"]),
+        "jitter": local["noise"] * local["jitter"] / 2,
+    } | {name: local[name] for name in ("depth", "front_sharpness", "surface_sharpness")}
+
+
+def _finish(size, sums, prepared, tables):
+    """The mean over the slices, and the color itself where nothing moves or nothing is seen."""
+    *colors, weight = sums
+    blurs = prepared["moving"] & (weight > SMALLEST_WEIGHT)
+    row = lax.broadcasted_iota(jnp.int32, (*size, 1), 0)
+    column = lax.broadcasted_iota(jnp.int32, (*size, 1), 1)
+    index = (row * size[1] + column) * len(colors)
+    return tuple(
+        jnp.where(
+            blurs,
+            color / jnp.where(blurs, weight, 1),
+            read_nearest(tables["color"], index + channel),
         )
-        apart = jnp.square(other_x - x) + jnp.square(other_y - y)
-        differs = jnp.clip(2 * apart / jnp.square(parameters.distinct) - 1, 0, 1)
-        differs = jnp.where(exists, differs, 0)
-        own = 1 - differs
-        way = (x + differs * (other_x - x), y + differs * (other_y - y))
-        ways.append((way, *(tuple(own * part for part in parts) for parts in curves), own))
-    return jax.tree.map(lambda plane: plane[..., None], ways)
+        for channel, color in enumerate(colors)
+    )
 
 
 @honoring_mask
@@ -245,31 +266,32 @@ def layered(
     noise = resolve_noise(noise, settings.noise, *shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     log_depth = jnp.log(finite_depth(frame.depth))
-    motion = _motion(frame, parameters, settings, log_depth)
-    x, y = motion[0]
-    speed = safe_norm(x, y)
-    size = fine_tile(settings.radius)
-    tiles = reaching_pixels(x, y, speed, log_depth, size)
-    ways = _ways(motion, tiles, size, parameters)
-    own_tolerance = jnp.square(parameters.own_tolerance) * (jnp.square(speed) + 0.01)
-    local = {
-        "ways": ways,
-        "depth": log_depth[..., None],
-        "jitter": noise.tap.astype(frame.color.dtype)[..., None] * (parameters.jitter / 2),
-        "inverse_own": 1 / own_tolerance[..., None],
-        "inverse_tolerance": 1 / jnp.square(parameters.landing_tolerance),
-        "surface_sharpness": parameters.surface_sharpness,
-        "front_sharpness": parameters.front_sharpness,
-    }
+    x, y, speed, half = _motion(frame, parameters, settings, log_depth)
+    tile_size = fine_tile(settings.radius)
+    pixels = reaching_pixels(x, y, speed, log_depth, tile_size)
+    exists, tile = pixels >= 0, own_tile(*shape, tile_size)
+    vectors = jnp.stack([x.reshape(-1)[pixels], y.reshape(-1)[pixels]], axis=-1)
+    vectors = jnp.where(exists[..., None], vectors, 0)
     read = {"x": x, "y": y, "depth": log_depth}
     tables = {
         "motion": {name: plane.reshape(-1) for name, plane in read.items()},
+        "tiles": [grid.reshape(-1) for grid in vectors],
         "color": color_table(frame.color),
     }
-    moving = (speed > SLOWEST) | (ways[1][-1][..., 0] < 1) | (ways[2][-1][..., 0] < 1)
+    planes = {
+        "velocity": (x, y),
+        "half": half,
+        "depth": log_depth,
+        "tile": tile,
+        "noise": noise.tap.astype(frame.color.dtype),
+    }
+    local = jax.tree.map(lambda plane: plane[..., None], planes) | vars(parameters)
     count = settings.samples // GUESSES
-    sample = functools.partial(_slice, shape, settings, count)
-    *colors, weight = sum_samples(sample, count, moving, local, tables, settings.backend)
-    blurs = moving & (weight > 1e-3)
-    mean = jnp.stack(colors, axis=-1) / jnp.where(blurs, weight, 1)[..., None]
-    return jnp.where(blurs[..., None], mean, frame.color)
+    stages = Stages(
+        functools.partial(_prepare, shape),
+        functools.partial(_slice, shape, settings, count),
+        functools.partial(_finish, shape),
+    )
+    moving = (speed > SPEED_FLOOR) | jnp.any(exists, axis=0).reshape(-1)[tile]
+    colors = gather_samples(stages, count, moving, local, tables, settings.backend)
+    return jnp.where(moving[..., None], jnp.stack(colors, axis=-1), frame.color)

@@ -16,12 +16,10 @@ from jaxtyping import Array, Float, Int
 
 from ..safe_math import safe_norm
 from ..tiles import tile_argmax
+from ..weights import SPEED_FLOOR
 
 USUAL_TILE = 8
 """Pixels. Six gain less than 0.1 dB on rendered scenes and double the work; twelve lose as much."""
-
-SLOWEST = 0.5
-"""Pixels of half-spread; slower points are as sharp as a pixel can show."""
 
 _LEVELS = 1023
 """Steps to which unlikeness is rounded: with 8K frames it still leaves room for the ranks."""
@@ -134,7 +132,7 @@ class _Lines:
         """What each line shows that another one for each line does not, in levels; -1 if alike."""
         other = jnp.maximum(first, 0)
         apart = safe_norm(self._x - self._x[other], self._y - self._y[other])
-        share = jnp.minimum(self._speed, apart) / jnp.maximum(jnp.max(self._speed), SLOWEST)
+        share = jnp.minimum(self._speed, apart) / jnp.maximum(jnp.max(self._speed), SPEED_FLOOR)
         level = jnp.floor(jnp.clip(share, 0, 1) * _LEVELS).astype(jnp.int32)
         return jnp.where(apart > ALIKE, level, -1)
 
@@ -148,7 +146,7 @@ class _Lines:
         Returns:
             (T,).
         """
-        counts = self._speed > SLOWEST
+        counts = self._speed > SPEED_FLOOR
 
         def add_step(step, best):
             for tile, inside in self._crossed(step - self._steps):
