@@ -1,0 +1,255 @@
+"""Frames per second from file to file, against reading and writing alone.
+
+python -m experiments.009_throughput.run --frames 12
+"""
+
+import argparse
+import csv
+import dataclasses
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import jaxblur
+from jaxblur import exr, scenes
+from jaxblur.batch import blur_batch
+from jaxblur.sequence import Job, Stage, run_pipeline
+
+HERE = Path(__file__).parent
+SHUTTER = 0.5
+DISTINCT = 3
+"""Frames that are rendered; the others are copies under other numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    Attributes:
+        what: was measured.
+        seconds: of wall time for each frame.
+        cpu: seconds of processor time for each frame.
+        note: what else there is to say.
+    """
+
+    what: str
+    seconds: float
+    cpu: float
+    note: str = ""
+
+
+def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
+    """Write frames of a catalogue scene with vectors of both sides and depth.
+
+    Args:
+        folder: where to.
+        count: number of frames.
+        size: (height, width) in pixels.
+
+    Returns:
+        Pattern of their names.
+    """
+    scene = scenes.SCENES["gears"]()
+    for frame in range(1, count + 1):
+        path = folder / f"in.{frame:04d}.exr"
+        if frame <= DISTINCT:
+            sharp = scenes.render(scene, frame, SHUTTER, size, path=True)
+            exr.write_frame(path, sharp, SHUTTER)
+        else:
+            path.write_bytes((folder / f"in.{1 + frame % DISTINCT:04d}.exr").read_bytes())
+    return folder / "in.####.exr"
+
+
+def measure_stages(folder: Path, count: int) -> Iterator[Row]:
+    """Reading, writing and both at once, without a filter, as the sequence does them."""
+    (folder / "alone").mkdir()
+    jobs = [
+        Job(n, {"input": folder / f"in.{n:04d}.exr"}, (folder / f"alone/a.{n:04d}.exr",), *_ANY)
+        for n in range(1, count + 1)
+    ]
+    kept = exr.read_buffers(jobs[0].inputs["input"])
+
+    def read(job: Job, _: Any) -> np.ndarray:
+        return exr.read_buffers(job.inputs["input"]).color
+
+    def write(job: Job, image: Any) -> None:
+        image = kept.color if image is None else image
+        exr.write_image(job.outputs[0], image, like=job.inputs["input"])
+
+    reading, writing = Stage("read", read, 2), Stage("write", write, 2)
+    yield _timed("read alone, 2 threads", jobs, (reading,))
+    yield _timed("write alone, 2 threads", jobs, (writing,))
+    yield _timed("read and write, no filter: the limit", jobs, (reading, writing))
+
+
+_ANY: Any = ("blur", "", {})
+
+
+def _timed(what: str, jobs: Sequence[Job], stages: Sequence[Stage]) -> Row:
+    wall, cpu = time.perf_counter(), time.process_time()
+    for outcome in run_pipeline(jobs, stages):
+        if outcome.error is not None:
+            raise outcome.error
+    count = len(jobs)
+    return Row(what, (time.perf_counter() - wall) / count, (time.process_time() - cpu) / count)
+
+
+def measure_filter(folder: Path) -> Row:
+    """The filter alone, in memory, as published."""
+    frame = jaxblur.read_frame(folder / "in.0001.exr", shutter=SHUTTER)
+    parameters = jaxblur.GuertinParameters()
+    jaxblur.guertin2014(frame, parameters).block_until_ready()
+    wall, cpu = time.perf_counter(), time.process_time()
+    repeats = 5
+    for _ in range(repeats):
+        jaxblur.guertin2014(frame, parameters).block_until_ready()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return Row("guertin2014 alone, in memory", wall / repeats, cpu / repeats)
+
+
+def measure_command(
+    what: str, pattern: Path, count: int, cache: Path, options: Sequence[str] = ()
+) -> Row:
+    """``jaxblur blur`` from start to end, in a process of its own.
+
+    Args:
+        what: for the report.
+        pattern: of the inputs.
+        count: frames to blur.
+        cache: folder of compiled code.
+        options: more arguments.
+
+    Returns:
+        The figure, start included; the note tells the part that is start and compilation.
+    """
+    with tempfile.TemporaryDirectory(dir=pattern.parent) as output:
+        command = [sys.executable, "-m", "jaxblur", "blur", str(pattern), "--json", "-q"]
+        command += ["-o", f"{output}/out.####.exr", "--frames", f"1-{count}", *options]
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        started = time.perf_counter()
+        environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
+        outcome = subprocess.run(command, env=environment, capture_output=True, text=True)
+        wall = time.perf_counter() - started
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if outcome.returncode:
+        raise RuntimeError(outcome.stderr)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    times = [frame["seconds"] for frame in json.loads(outcome.stdout)["frames"]]
+    slowest = max(each["blur"] for each in times)
+    usual = float(np.median([each["blur"] for each in times]))
+    note = f"{wall:.1f} s in all; first blur {slowest:.2f} s, median {usual:.2f} s"
+    return Row(what, wall / count, cpu / count, note)
+
+
+def measure_memory(pattern: Path, counts: Sequence[int], cache: Path) -> list[Row]:
+    """The largest resident memory of runs of several lengths, each in a process of its own."""
+    rows = []
+    for count in counts:
+        code = (
+            "import resource, sys; from jaxblur.cli import main; main(sys.argv[1:]);"
+            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        )
+        with tempfile.TemporaryDirectory(dir=pattern.parent) as output:
+            command = [sys.executable, "-c", code, "blur", str(pattern), "-q"]
+            command += ["-o", f"{output}/out.####.exr", "--frames", f"1-{count}"]
+            environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
+            started = time.perf_counter()
+            text = subprocess.run(
+                command, env=environment, check=True, capture_output=True, text=True
+            ).stdout
+            wall = time.perf_counter() - started
+        peak = int(text.split()[-1]) / 1024
+        rows.append(Row(f"memory, {count} frames", wall / count, np.nan, f"{peak:.0f} MiB at most"))
+    return rows
+
+
+def measure_batches(size: tuple[int, int], chunks: Sequence[int]) -> Iterator[tuple[str, float]]:
+    """Bytes a pixel and frame that `blur_batch` works with, by XLA's own account.
+
+    Args:
+        size: (height, width) in pixels.
+        chunks: chunk sizes.
+
+    Yields:
+        What, and the figure.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    frames = jaxblur.Frame(
+        color=jnp.zeros((4, *size, 3)), depth=jnp.ones((4, *size)), velocity=jnp.ones((4, *size, 2))
+    )
+    settings = jaxblur.Settings(samples=35, radius=20)
+    for chunk in chunks:
+
+        def image(parameters: Any, frames: Any, chunk: int = chunk) -> jax.Array:
+            return blur_batch("guertin2014", frames, parameters, settings=settings, chunk=chunk)
+
+        def loss(parameters: Any, frames: Any, image: Any = image) -> jax.Array:
+            return jnp.sum(image(parameters, frames) ** 2)
+
+        for name, function in (("forward", image), ("reverse derivative", jax.grad(loss))):
+            compiled = jax.jit(function).lower(jaxblur.GuertinParameters(), frames).compile()
+            account: Any = compiled.memory_analysis()
+            yield f"{name}, chunk {chunk}", account.temp_size_in_bytes / (size[0] * size[1])
+
+
+def write_report(path: Path, rows: Sequence[Row]) -> None:
+    """Write the figures as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["what", "seconds a frame", "frames a second", "CPU s a frame", "note"])
+        for row in rows:
+            figures = f"{row.seconds:.3f}", f"{1 / row.seconds:.2f}", f"{row.cpu:.3f}"
+            writer.writerow([row.what, *figures, row.note])
+
+
+def main() -> None:
+    """Measure and report; see the module docstring."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=12)
+    parser.add_argument("--size", type=int, nargs=2, default=(1080, 1920), metavar=("H", "W"))
+    parser.add_argument("--workers", type=int, nargs="*", default=(1, 2))
+    parser.add_argument("-o", "--output", type=Path, default=HERE / "results.csv")
+    arguments = parser.parse_args()
+    size = (arguments.size[0], arguments.size[1])
+    count, rows = arguments.frames, []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        pattern, cache = make_frames(folder, count, size), folder / "cache"
+        steps: list[Any] = [lambda: list(measure_stages(folder, count))]
+        steps.append(lambda: [measure_filter(folder)])
+        for label in ("first process, nothing compiled", "second process"):
+            steps.append(
+                lambda label=label: [measure_command(f"blur, {label}", pattern, count, cache)]
+            )
+        for workers in arguments.workers:
+            options = ("--scheduler", "local", "--workers", str(workers))
+            steps.append(
+                lambda w=workers, o=options: [
+                    measure_command(
+                        f"blur --scheduler local, workers {w}", pattern, count, cache, o
+                    )
+                ]
+            )
+        steps.append(lambda: measure_memory(pattern, (count // 3, count), cache))
+        for step in steps:
+            for row in step():
+                rows.append(row)
+                print(f"{row.what}: {row.seconds:.3f} s a frame, CPU {row.cpu:.3f} s {row.note}")
+    write_report(arguments.output, rows)
+    for what, bytes_a_pixel in measure_batches((180, 320), (1, 2, 4)):
+        print(f"blur_batch of 4 frames, {what}: {bytes_a_pixel:.0f} bytes a pixel of one frame")
+
+
+if __name__ == "__main__":
+    main()
