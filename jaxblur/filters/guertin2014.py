@@ -259,6 +259,8 @@ def guertin2014(
     colors, chances = tile_outcomes(frame, parameters, settings=settings, noise=noise)
     # As differences from the own tile, so that pixels that nothing reaches keep their bits.
     own = colors[0]
+    if len(colors) == 1:
+        return own
     return own + jnp.sum(chances[1:, ..., None] * (colors[1:] - own), axis=0)
 
 
@@ -290,23 +292,31 @@ def tile_outcomes(
         ValueError: shapes disagree.
     """
     masked = frame.valid is not None
-    prepared = _prepare(append_mask(frame) if masked else frame, parameters, settings, noise)
-    frame, parameters, noise, velocity, speed, tiles = prepared
-    height, width = frame.depth.shape
-    indices, chances = _tile_choices(height, width, parameters, settings, noise)
+    frame = append_mask(frame) if masked else frame
+    checked, parameters, _, _, _, tiles = _prepare(frame, parameters, settings, noise)
     moving = safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR
 
+    def choices(noise):
+        height, width = checked.depth.shape
+        return _tile_choices(height, width, parameters, settings, noise)
+
     def blur_all():
-        buffers = _buffers(frame, velocity, speed, tiles, noise, parameters, settings)
+        # Once more: what a branch takes from outside is computed even if it is not run.
+        _, _, drawn, velocity, speed, _ = _prepare(frame, parameters, settings, noise)
+        buffers = _buffers(checked, velocity, speed, tiles, drawn, parameters, settings)
 
         def blur(tile):
-            return _reconstruct(frame, tile, moving, buffers, settings)
+            return _reconstruct(checked, tile, moving, buffers, settings)
 
+        indices, _ = choices(drawn)
         return blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
 
     def keep():
-        return jnp.broadcast_to(frame.color, (len(indices), *frame.color.shape))
+        # By a product with one: XLA copies a result that is an operand three times over.
+        color = checked.color * jnp.where(jnp.any(moving), 0, 1).astype(checked.color.dtype)
+        return jnp.broadcast_to(color, (len(chances), *color.shape))
 
+    chances = choices(resolve_noise(noise, settings.noise, *checked.depth.shape))[1]
     colors = lax.cond(jnp.any(moving), blur_all, keep)
     return (divide_by_mask(colors) if masked else colors), chances
 
