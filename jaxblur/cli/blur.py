@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxblur.settings import CHOICES
 
-from . import published, sequence, stages
+from . import published, results, sequence, stages
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -64,6 +64,7 @@ def add_parser(commands: Any) -> None:
         "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+    results.add_option(parser)
     add_compute_options(parser)
     group = add_filter_options(parser)
     group.add_argument(
@@ -115,6 +116,7 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Blur one frame, or a sequence; see `add_parser`."""
     _check_plan(arguments)
+    results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if sequence.is_asked_for(arguments):
         return sequence.run(arguments, asked)
@@ -150,6 +152,11 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     report_ignored(arguments.input, loaded.buffers.ignored)
     if scored:
         print_table(stages.SCORE_COLUMNS, stages.score_rows(scored))
+    if arguments.result:
+        settings = results.settings_of(chosen)
+        name, sources = arguments.input.name, vars(arguments)
+        shot = results.make_shot(name, loaded, blurred, chosen.name, settings, sources)
+        results.write(arguments, [shot])
     return 0
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import jaxblur
 
-from . import stages
-from .arguments import CommandError, in_option_names, positive_integer
+from . import results, stages
+from .arguments import CommandError, frame_numbers, in_option_names, positive_integer
 from .compute import start_jax
 from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
@@ -30,7 +30,7 @@ NOT_A_CHOICE = frozenset(
     {
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
-        *("truth", "truth_layer", "velocity_from", "depth_from", "no_compile_cache"),
+        *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
     }
 )
 
@@ -52,13 +52,13 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
     group.add_argument(
         "-F",
         "--frames",
-        type=_frames,
+        type=frame_numbers,
         metavar="A-B[xN]",
         help="such as 1001-1240 or 1-100x2,107 (default: all that are there)",
     )
     group.add_argument(
         "--cut",
-        type=_frames,
+        type=frame_numbers,
         default=[],
         metavar="A,B",
         help="pass these frames through unblurred: at a camera cut vectors mean nothing",
@@ -213,8 +213,18 @@ class _Run:
         if todo:
             self._work(todo)
         self._report()
+        self._leave_result()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
         return 0 if done else FAILED
+
+    def _leave_result(self) -> None:
+        there = [
+            job
+            for job in self.plan.jobs
+            if self.records[job.frame]["status"] in ("written", "kept")
+        ]
+        if self.arguments.result and there:
+            results.write(self.arguments, results.shots_of_frames(self.arguments, there))
 
     def _work(self, todo: list[Any]) -> None:
         outcomes = _outcomes(self.arguments, self.asked, todo)
@@ -390,12 +400,3 @@ def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
 
 def _cells(name: str, score: dict[str, float]) -> tuple[str, ...]:
     return name, f"{score['psnr']:.2f}", f"{score['ssim']:.4f}", f"{score['flip']:.4f}"
-
-
-def _frames(text: str) -> list[int]:
-    from jaxblur.sequence import parse_frames
-
-    try:
-        return parse_frames(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error

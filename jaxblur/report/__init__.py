@@ -11,5 +11,6 @@ from .results import (
     Result as Result,
     Shot as Shot,
     read_result as read_result,
+    sha256_of as sha256_of,
     write_result as write_result,
 )

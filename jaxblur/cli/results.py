@@ -1,0 +1,118 @@
+"""``blur --result``: leave what was scored in a folder for ``jaxblur report``."""
+
+import argparse
+import dataclasses
+import pathlib
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from jaxblur.settings import Settings
+
+from . import stages
+from .arguments import CommandError, check_folder, file_path
+
+ROLES = ("input", "velocity_from", "depth_from", "truth")
+NOTES = ("jaxblur:settings", "jaxblur:parameters")
+
+
+def add_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option."""
+    parser.add_argument(
+        "--result",
+        type=file_path,
+        metavar="DIR",
+        help="with --truth: write pictures and scores there, for `jaxblur report DIR`; replaces "
+        "an earlier result",
+    )
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse what cannot be written, before any work is done.
+
+    Raises:
+        CommandError: there is no truth, or the folder cannot be made.
+    """
+    if arguments.result is None:
+        return
+    if arguments.truth is None:
+        raise CommandError("--result: needs --truth, which its pictures are compared with.")
+    check_folder(arguments.result)
+
+
+def make_shot(
+    name: str,
+    loaded: stages.Loaded,
+    blurred: Any,
+    method: str,
+    settings: Mapping[str, Any],
+    sources: Mapping[str, pathlib.Path | None],
+) -> Any:
+    """Gather a frame, its blur and its truth.
+
+    Args:
+        name: of the shot.
+        loaded: the frame.
+        blurred: (H, W, C) linear light.
+        method: name of the filter.
+        settings: of the filter, parameters among them.
+        sources: files by what they are for, see `ROLES`.
+
+    Returns:
+        A `jaxblur.report.Shot`.
+    """
+    from jaxblur.report import Picture, Shot, sha256_of
+
+    files = [path for role in ROLES if (path := sources.get(role)) is not None]
+    return Shot(
+        name=name,
+        truth=loaded.truth,
+        pictures=[
+            Picture("input", loaded.buffers.color),
+            Picture(method, blurred, settings=settings, group=method),
+        ],
+        hashes={path.name: sha256_of(path) for path in files},
+    )
+
+
+def settings_of(chosen: stages.Choice) -> dict[str, Any]:
+    """Settings and parameters of a run as one table."""
+    return dataclasses.asdict(chosen.settings) | dict(chosen.parameters)
+
+
+def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
+    """Write the result that the arguments of `blur` ask for.
+
+    Args:
+        arguments: of the command.
+        shots: as `make_shot` gives them.
+    """
+    from jaxblur.report import write_result
+
+    title = f"{arguments.input.name} against {arguments.truth.name}"
+    write_result(arguments.result, title, shots, {"shutter": arguments.shutter})
+
+
+def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Iterator[Any]:
+    """Read the frames of a sequence back, one by one: a sequence does not fit into memory.
+
+    Args:
+        arguments: of the command.
+        jobs: whose outputs are there.
+
+    Yields:
+        A shot for each frame.
+    """
+    from jaxblur import exr
+
+    for job in jobs:
+        sources = {role: job.inputs.get(role) for role in ROLES}
+        here = argparse.Namespace(**vars(arguments) | sources)
+        loaded = stages.load(here, Settings())
+        output = job.outputs[0]
+        blurred = exr.read_image(output, arguments.layer)
+        notes = exr.inspect(output).parts[0].attributes
+        # What ran, which for a plan or an automatic radius hangs on the frame.
+        settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
+        method = str(notes.get("jaxblur:filter", "output"))
+        yield make_shot(f"frame {job.frame}", loaded, blurred, method, settings, sources)
