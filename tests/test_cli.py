@@ -94,7 +94,6 @@ def test_blur_help_lists_presets_and_marks_the_unverified(capsys):
         (["info", "a.exr", "-v", "-q"], "not allowed with"),
         (["info", "\udcff.exr"], "argument file: \\udcff.exr is not a name in UTF-8"),
         (["scene"], "--list"),
-        (["scene", "gears", "-o", "x", "--frames", "8-1"], "8-1 is empty"),
         (["scene", "gears", "-o", "x", "--frames", "1-"], "expected frames"),
         (["scene", "gears", "-o", "x", "--size", "0x4"], "WIDTHxHEIGHT"),
         (["scene", "gears", "-o", "x", "--shutter", "0"], "--shutter must be above 0"),
@@ -106,12 +105,16 @@ def test_usage_errors_are_one_line(given, message):
 
 @pytest.mark.parametrize(
     ("text", "frames"),
-    [("5", [5]), ("1-4", [1, 2, 3, 4]), ("1-8x3,2", [1, 4, 7, 2]), ("-2-0", [-2, -1, 0])],
+    [
+        ("5", [5]),
+        ("4-2", [4, 3, 2]),
+        ("1-4", [1, 2, 3, 4]),
+        ("1-8x3,2", [1, 4, 7, 2]),
+        ("-2-0", [-2, -1, 0]),
+    ],
 )
 def test_frame_numbers(text, frames):
-    from jaxblur.cli.scene import frame_numbers
-
-    assert frame_numbers(text) == frames
+    assert arguments.frame_numbers(text) == frames
 
 
 def test_library_messages_are_put_in_the_words_of_the_command_line():

@@ -207,6 +207,20 @@ def positive_integer(text: str) -> int:
     return int(text)
 
 
+def frame_numbers(text: str) -> list[int]:
+    """Parse frames such as ``1001-1240``, ``1-100x10`` or ``1,3,7``.
+
+    Raises:
+        ArgumentTypeError: it is something else.
+    """
+    from jaxblur.sequence import parse_frames
+
+    try:
+        return parse_frames(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def check_outputs(outputs: Iterable[pathlib.Path], overwrite: bool) -> None:
     """Refuse outputs that must not be written, before any work is done.
 

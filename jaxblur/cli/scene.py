@@ -18,6 +18,7 @@ from .arguments import (
     check_outputs,
     did_you_mean,
     file_path,
+    frame_numbers,
     positive_integer,
 )
 from .compute import start_jax
@@ -30,8 +31,6 @@ NAME.####.exr holds linear color (R, G, B), planar depth (Z, +inf for sky) and t
 velocity.previous.X, .Y and velocity.next.X, .Y in pixels per frame, x right, y down, exact for
 the given shutter; `jaxblur blur` reads it as it is. Frame k is centered on time k; the unit of
 time is one frame."""
-
-_RANGE = re.compile(r"(?P<first>-?\d+)(?:-(?P<last>-?\d+)(?:x(?P<step>[1-9]\d*))?)?")
 
 
 def add_parser(commands: Any) -> None:
@@ -112,25 +111,6 @@ def make_scene(name: str) -> Any:
             f"no scene {name!r}{did_you_mean(name, SCENES)}; there are {', '.join(SCENES)}."
         )
     return SCENES[name]()
-
-
-def frame_numbers(text: str) -> list[int]:
-    """Parse frames such as ``1-8``, ``1-100x10`` or ``1,3,7``.
-
-    Raises:
-        ArgumentTypeError: it is something else, or a range is empty.
-    """
-    frames: list[int] = []
-    for item in text.split(","):
-        match = _RANGE.fullmatch(item.strip())
-        if match is None:
-            raise argparse.ArgumentTypeError(f"expected frames such as 1-8 or 1,3,7, got {text!r}")
-        first = int(match["first"])
-        last = int(match["last"] or first)
-        if last < first:
-            raise argparse.ArgumentTypeError(f"{item} is empty, give the first frame first")
-        frames += range(first, last + 1, int(match["step"] or 1))
-    return list(dict.fromkeys(frames))
 
 
 def image_size(text: str) -> tuple[int, int]:
