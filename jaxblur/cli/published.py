@@ -91,6 +91,9 @@ FILTERS: dict[str, Published] = {
             "bend": Parameter(0.5, 0.0, 1.0, False, "bending of the own way by its velocities"),
             "jitter": Parameter(1.0, 0.0, 1.0, False, "noise of the taps, share of a stratum"),
             "distinct": _positive(1.0, "px from which on velocities count as different"),
+            "thin_coverage": Parameter(
+                0.5, 0.0, 1.0, True, "least share of a pixel that thin things cover"
+            ),
         },
         samples=35,
         radius=160,

@@ -27,6 +27,6 @@ PUBLISHED: dict[str, tuple[Any, Settings]] = {
     "guertin2014": (GuertinParameters(), Settings()),
     "mcguire2012": (McGuireParameters(), Settings(samples=15, radius=20)),
     "pixel_velocity": (None, Settings()),
-    "layered": (LayeredParameters(), Settings(radius=160)),
+    "layered": (LayeredParameters(), Settings(radius=160, fetch="bilinear")),
 }
 """Parameters and settings of each filter as published."""

@@ -51,6 +51,8 @@ class LayeredParameters:
             0 to 1: 0.5 is that of a motion whose velocities stay where they are in the image.
         jitter: share of a tap's stratum over which noise moves the tap, 0 to 1.
         distinct: pixels from which on another velocity counts as different from the own, > 0.
+        thin_coverage: least share of its pixels that something one pixel wide covers, 0 to 1; 1
+            takes its vectors as they are.
     """
 
     front_sharpness: float | jax.Array = 10.0
@@ -60,6 +62,7 @@ class LayeredParameters:
     bend: float | jax.Array = 0.5
     jitter: float | jax.Array = 1.0
     distinct: float | jax.Array = 1.0
+    thin_coverage: float | jax.Array = 0.5
 
 
 def _times(index, count, jitter):
@@ -114,9 +117,13 @@ def _visible(lands, depths, sharpness):
 def _slice(size, settings, count, index, local, tables):
     """Color and weight of one slice of the exposure."""
     times = _times(index, count, local["jitter"])
+    # Bilinear reading of the other guesses too gains 0.1 dB and takes a fifth more time.
+    nearest = dataclasses.replace(settings, fetch="nearest")
     guesses = [
-        _guess(size, settings, time, way, tables, local)
-        for time, way in zip(times, local["ways"], strict=True)
+        _guess(size, reading, time, way, tables, local)
+        for reading, time, way in zip(
+            (settings, nearest, nearest), times, local["ways"], strict=True
+        )
     ]
     texels, lands, depths, colors = zip(*guesses, strict=True)
     sharpness = local["front_sharpness"]
@@ -139,7 +146,8 @@ def _motion(frame, parameters, settings, log_depth):
     if frame.path is not None:
         opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
         motion = jnp.concatenate([closing - opening, opening + closing], axis=-1) / 2
-    x, y, *half = purest_motion(motion, log_depth, parameters.surface_sharpness, settings.backend)
+    separation, coverage = parameters.surface_sharpness, parameters.thin_coverage
+    x, y, *half = purest_motion(motion, log_depth, separation, coverage, settings.backend)
     speed = safe_norm(x, y)
     scale = jnp.minimum(1, settings.radius / jnp.maximum(speed, settings.radius))
     return x * scale, y * scale, jnp.minimum(speed, settings.radius), half

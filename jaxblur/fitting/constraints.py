@@ -15,7 +15,7 @@ depth_sharpness above 0        exponential   scale of relative depth
 soft_z_extent   above 0        exponential   a length
 =============== ============== ============= ====================================================
 
-Of `layered`, ``bend`` and ``jitter`` are shares between 0 and 1, the others are positive scales.
+Of `layered`, ``bend``, ``jitter`` and ``thin_coverage`` are shares between 0 and 1, the others are positive scales.
 
 Under the exponential map a step of h is a relative change of h, and so is a standard error.
 """
@@ -108,6 +108,7 @@ CONSTRAINTS: dict[str, dict[str, Constraint]] = {
         "bend": Interval(0.0, 1.0),
         "jitter": Interval(0.0, 1.0),
         "distinct": Positive(),
+        "thin_coverage": Interval(0.0, 1.0),
     },
 }
 """Range of every parameter of every filter."""

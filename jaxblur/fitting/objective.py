@@ -27,7 +27,7 @@ NoiseMode = Literal["fresh", "fixed", "builtin"]
 
 MOVES_TAPS = {
     "guertin2014": ("gamma", "eta", "phi"),
-    "layered": ("bend", "jitter", "distinct"),
+    "layered": ("bend", "jitter", "distinct", "thin_coverage"),
 }
 """Parameters that move the taps: what is read there must change smoothly."""
 
