@@ -159,6 +159,26 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path, monkeypatch):
     assert outcome.status == 130 and "stopped after 2 steps; --resume goes on" in outcome.err
     assert state.exists() and not out.exists()
     monkeypatch.undo()
+    line = refused(*command[:-1])
+    assert "pass --resume to go on from it, or --overwrite to start anew" in line
+    assert "number of steps or seed differ" in refused(*command, "--steps", "4")
     outcome = run(*command)
     assert outcome.status == 0 and "step 3/3" in outcome.err and "step 2/3" not in outcome.err
     assert out.exists() and not state.exists()
+
+
+def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
+    from jaxblur.fitting import optimization
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(optimization, "scan_start", interrupted)
+    out = tmp_path / "fitted.toml"
+    outcome = run("fit", CAR, "--truth", TRUTH, "-o", out, "--free", "kappa", *SMALL)
+    assert outcome.status == 130
+    assert outcome.err.endswith(
+        "error: interrupted before the first step; there is nothing to go on from\n"
+    )
+    assert "starting; before the first step" in outcome.err
+    assert not list(tmp_path.iterdir())

@@ -37,11 +37,11 @@ def test_a_frame_with_its_truth_becomes_a_page(tmp_path):
 
 def test_a_sequence_becomes_a_shot_for_each_frame(tmp_path):
     for number in (1, 2):
-        shutil.copy(FRAME, tmp_path / f"in.{number}.exr")
-        shutil.copy(TRUTH, tmp_path / f"truth.{number}.exr")
+        shutil.copy(FRAME, tmp_path / f"in.{number:04d}.exr")
+        shutil.copy(TRUTH, tmp_path / f"truth.{number:04d}.exr")
     command = (
-        *("blur", tmp_path / "in.#.exr", "-o", tmp_path / "out.#.exr", *OPTIONS),
-        *("--truth", tmp_path / "truth.#.exr", "--result", tmp_path / "result"),
+        *("blur", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", *OPTIONS),
+        *("--truth", tmp_path / "truth.####.exr", "--result", tmp_path / "result"),
     )
     assert run(*command).status == 0
     written = read_result(tmp_path / "result")

@@ -1,7 +1,9 @@
 """``jaxblur demo``: make a frame, blur it, compare it with its truth."""
 
 import argparse
+import logging
 import pathlib
+from collections.abc import Mapping
 from typing import Any
 
 import jaxblur
@@ -12,8 +14,11 @@ from .arguments import add_command, add_compute_options, check_folder, file_path
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import apply_filter
+from .report import write_page
 from .scene import image_size, make_scene
 from .stages import SCORE_COLUMNS, score_rows, scores
+
+LOG = logging.getLogger("jaxblur")
 
 SHUTTER = 0.5
 TRUTH_SAMPLES = 64
@@ -49,6 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
+    height, width = arguments.size
+    LOG.info("%s at %dx%d, sharp and blurred by its truth", arguments.scene, width, height)
+    LOG.info("the first run compiles the scene and the filter, which takes most of its time")
     start_jax(not arguments.no_compile_cache)
     import numpy as np
 
@@ -57,9 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
     scene = make_scene(arguments.scene)
     folder.mkdir(parents=True, exist_ok=True)
     frame = scenes.render(scene, 0.0, SHUTTER, arguments.size, path=True)
+    LOG.info("truth: the mean of %d images", TRUTH_SAMPLES)
     truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
     known = published.FILTERS[name]
     settings = Settings(samples=known.samples, radius=known.radius)
+    LOG.info("blur: %s", name)
     blurred = apply_filter(name, frame, {}, settings)
 
     notes = {"jaxblur:version": jaxblur.__version__, "jaxblur:scene": arguments.scene}
@@ -73,5 +83,20 @@ def run(arguments: argparse.Namespace) -> int:
         exr.write_image(pngs[kind], image)
         print_line(f"{images[kind]}, {pngs[kind].name}")
     print_table(SCORE_COLUMNS, score_rows(scores({"sharp": sharp, name: blurred}, truth)))
+    page = _write_page(folder, arguments.scene, truth, {"sharp": sharp, name: blurred})
+    print_line(f"{page}: to compare them in a browser")
     print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
     return 0
+
+
+def _write_page(
+    folder: pathlib.Path, scene: str, truth: Any, images: Mapping[str, Any]
+) -> pathlib.Path:
+    """Leave a result and its page."""
+    from jaxblur.report import Picture, Shot, write_result
+
+    pictures = [Picture(name, image) for name, image in images.items()]
+    write_result(folder / "result", "A demo of jaxblur", [Shot(scene, truth, pictures)])
+    page = folder / "report.html"
+    write_page(folder / "result", page)
+    return page

@@ -54,7 +54,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "-o", "--output", type=pathlib.Path, required=True, metavar="OUT.toml", help="result"
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing output")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an existing output, and start anew where a fit was interrupted",
+    )
     parser.add_argument(
         "--holdout",
         nargs="+",
@@ -124,7 +128,9 @@ def run(arguments: argparse.Namespace) -> int:
     pairs = [_read_pair(arguments, *files) for files in zip(frames, truths, strict=True)]
     settings = _with_radius(settings, arguments, pairs)
     state = arguments.output.with_suffix(".state.npz")
+    _check_state(arguments, state)
 
+    LOG.info("starting; before the first step the filter is compiled and the start is looked for")
     start_jax(not arguments.no_compile_cache)
     import jax
 
@@ -153,12 +159,28 @@ def run(arguments: argparse.Namespace) -> int:
             resume=arguments.resume,
         )
     if result.interrupted:
-        LOG.warning("stopped after %d steps; --resume goes on from %s", result.steps, state)
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(_farewell(result.steps, state))
     result.save(arguments.output)
     state.unlink(missing_ok=True)
     _report(arguments.output, result)
     return 0
+
+
+def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:
+    """Refuse to start anew over what an interrupted fit left, unless that is asked for."""
+    if state.exists() and not arguments.resume and not arguments.overwrite:
+        raise CommandError(
+            f"{state}: is what an interrupted fit left; pass --resume to go on from it, or "
+            "--overwrite to start anew."
+        )
+
+
+def _farewell(steps: int, state: pathlib.Path) -> str:
+    """What a user may know after ctrl-C."""
+    if steps == 0:
+        state.unlink(missing_ok=True)
+        return "interrupted before the first step; there is nothing to go on from"
+    return f"interrupted; stopped after {steps} steps; --resume goes on from {state}"
 
 
 def pair_files(

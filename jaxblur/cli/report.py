@@ -44,9 +44,6 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the page; see `add_parser`."""
-    from jaxblur.exr.atomic import replacing
-    from jaxblur.report import build_page, read_result
-
     output = arguments.output
     if output.suffix.lower() not in (".html", ".htm"):
         raise CommandError(f"{output}: can write .html only; change the extension.")
@@ -54,10 +51,24 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError(f"{output}: no folder {output.parent}; create it first.")
     check_folder(output.parent)
     check_outputs([output], arguments.overwrite)
-    page = build_page(read_result(arguments.input), arguments.max_megabytes)
+    write_page(arguments.input, output, arguments.max_megabytes)
+    print_line(output)
+    return 0
+
+
+def write_page(folder: pathlib.Path, output: pathlib.Path, max_megabytes: float = 20.0) -> None:
+    """Make the page of a result, whole or not at all, and log its warnings.
+
+    Args:
+        folder: with a result.
+        output: HTML file to write.
+        max_megabytes: largest size.
+    """
+    from jaxblur.exr.atomic import replacing
+    from jaxblur.report import build_page, read_result
+
+    page = build_page(read_result(folder), max_megabytes)
     for warning in page.warnings:
         LOG.warning("%s", warning)
     with replacing(output) as temporary:
         pathlib.Path(temporary).write_text(page.html, encoding="utf-8")
-    print_line(output)
-    return 0

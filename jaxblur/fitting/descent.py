@@ -184,13 +184,14 @@ def _make_update(task: Task, optimizer: Any) -> Callable[..., Any]:
     return update
 
 
-def fingerprint(task: Task, hashes: Sequence[str], start: Mapping[str, float]) -> str:
-    """Hash all that a saved state depends on, but for the optimizer and the number of steps.
+def fingerprint(task: Task, hashes: Sequence[str], start: Mapping[str, float], steps: int) -> str:
+    """Hash all that a saved state depends on, but for the optimizer.
 
     Args:
         task: what is minimized.
         hashes: of the pairs.
         start: initial parameters.
+        steps: asked for; they set how steps shrink, and when the scan is repeated.
 
     Returns:
         Hexadecimal digits.
@@ -202,6 +203,7 @@ def fingerprint(task: Task, hashes: Sequence[str], start: Mapping[str, float]) -
         list(hashes),
         [weight.hexdigest() for weight in weights],
         jax.random.key_data(task.key).tolist(),
+        steps,
     )
     return hashlib.sha256(repr(content).encode()).hexdigest()
 
@@ -263,8 +265,8 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
         raise ValueError(f"{path}: holds no state of a fit; start anew.") from error
     if found != mark:
         raise ValueError(
-            f"{path}: is the state of another fit: frames, start, free parameters, loss, settings "
-            "or seed differ; repeat them, or start anew."
+            f"{path}: is the state of another fit: frames, start, free parameters, loss, "
+            "settings, number of steps or seed differ; repeat them, or start anew."
         )
     expected, structure = jax.tree.flatten(fresh.optimizer)
     if [np.shape(leaf) for leaf in leaves] != [np.shape(leaf) for leaf in expected]:

@@ -265,7 +265,8 @@ def _descend(
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
     free = to_free(task.objective.filter_name, start, task.objective.free)
     state = State(free, optimizer.init(free))
-    mark = fingerprint(task, [entry.sha256 for entry in data if entry.part == "train"], start)
+    hashes = [entry.sha256 for entry in data if entry.part == "train"]
+    mark = fingerprint(task, hashes, start, steps)
     if resume:
         if path is None:
             raise ValueError("`resume` needs `state`, the file to go on from.")
