@@ -9,11 +9,13 @@ import pytest
 
 import jaxblur
 from jaxblur.devices import Blocks, plan_rows, row_reach
+from tests.exr_files import plain_frame, write_single
 
 SCRIPT = """
-import dataclasses, json
+import dataclasses, json, sys
 import jax, jax.numpy as jnp, numpy as np
 import jaxblur
+from jaxblur.cli import main, stages
 from jaxblur.devices import blur_frames, blur_rows
 from jaxblur.filters import FILTERS, PUBLISHED
 from tests.helpers import random_frame, random_noise
@@ -45,6 +47,23 @@ options = {"settings": settings, "noise": random_noise((24, 20))}
 one = jaxblur.blur_batch("pixel_velocity", frames, **options)
 note("frames", one, blur_frames("pixel_velocity", frames, **options), frames.color)
 
+folder, used, blur = sys.argv[1], set(), stages.blur
+
+def noting(*arguments):
+    used.add(str(jax.config.jax_default_device))
+    return blur(*arguments)
+
+stages.blur = noting
+few = ("--filter", "pixel_velocity", "--samples", "7", "--no-compile-cache", "-q")
+status = main(["blur", folder + "/in.####.exr", "-o", folder + "/out.####.exr", *few])
+difference = 0.0
+for number in range(12):
+    frame = jaxblur.read_frame(f"{folder}/in.{number:04d}.exr")
+    one = np.asarray(jaxblur.pixel_velocity(frame, settings=jaxblur.Settings(samples=7)))
+    many = jaxblur.exr.read_image(f"{folder}/out.{number:04d}.exr")
+    difference = max(difference, float(np.abs(one - many).max()))
+report["sequence"] = status, difference, len(used)
+
 def of(phi):
     return blur_rows("guertin2014", random_frame((90, 24)), jaxblur.GuertinParameters(phi=phi))
 
@@ -57,18 +76,21 @@ print(json.dumps(report))
 
 
 @pytest.fixture(scope="module")
-def report():
+def report(tmp_path_factory):
     """Largest difference to one device, largest change by the filter, devices used."""
+    folder = tmp_path_factory.mktemp("sequence")
+    for number in range(12):
+        write_single(folder / f"in.{number:04d}.exr", plain_frame((40, 60), seed=number))
     flags = "--xla_force_host_platform_device_count=3 --xla_backend_optimization_level=1"
     outcome = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
+        [sys.executable, "-c", SCRIPT, str(folder)],
         env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,
         timeout=400,
     )
     assert outcome.returncode == 0, outcome.stderr
-    return json.loads(outcome.stdout)
+    return json.loads(outcome.stdout.splitlines()[-1])
 
 
 ROWS = ("mcguire2012", "pixel_velocity", "layered", "three, masked", "far taps")
@@ -95,6 +117,10 @@ def test_frames_are_those_of_one_device(report):
     difference, change, devices = report["frames"]
     assert difference < 1e-6
     assert change > 0.1 and devices == 3
+
+
+def test_a_sequence_is_blurred_on_every_device(report):
+    assert report["sequence"] == [0, 0.0, 3]
 
 
 def test_traced_parameters_are_refused(report):

@@ -1,11 +1,13 @@
 """``jaxblur blur`` on sequences: names and options, the plan, the run, and what is told of it."""
 
 import argparse
+import contextlib
 import dataclasses
 import json
 import logging
 import os
 import pathlib
+import queue
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -140,10 +142,12 @@ class FrameWork:
     Attributes:
         arguments: of the command.
         asked: what the options say of the filter.
+        devices: those that are free to blur on, or None for the one that JAX takes.
     """
 
     arguments: argparse.Namespace
     asked: stages.Choice
+    devices: queue.SimpleQueue[Any] | None = None
 
     def read(self, job: Any, _: None) -> stages.Loaded:
         """Read a frame and its truth."""
@@ -158,7 +162,8 @@ class FrameWork:
             chosen = dataclasses.replace(self.asked, name=stages.PASSED_THROUGH, parameters={})
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
-            return loaded, chosen, stages.blur(chosen, loaded)
+            with self._device():
+                return loaded, chosen, stages.blur(chosen, loaded)
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
         """Write a frame, and score it; give what the report needs."""
@@ -180,14 +185,29 @@ class FrameWork:
         }
 
     def stages(self) -> tuple[Any, ...]:
-        """The stages, in order, for `jaxblur.sequence`."""
+        """The stages, in order, for `jaxblur.sequence`; every device blurs a frame at a time."""
         from jaxblur.sequence import Stage
 
+        count = 1 if self.devices is None else self.devices.qsize()
         return (
-            Stage("read", self.read, 2),
-            Stage("blur", self.blur),
-            Stage("write", self.write, 2),
+            Stage("read", self.read, 1 + count),
+            Stage("blur", self.blur, count),
+            Stage("write", self.write, 1 + count),
         )
+
+    @contextlib.contextmanager
+    def _device(self) -> Iterator[None]:
+        if self.devices is None:
+            yield
+            return
+        import jax
+
+        device = self.devices.get()
+        try:
+            with jax.default_device(device):
+                yield
+        finally:
+            self.devices.put(device)
 
     def _at(self, job: Any) -> argparse.Namespace:
         inputs = {role: job.inputs.get(role) for role in _ROLES}
@@ -294,12 +314,17 @@ class _Run:
 def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[Any]) -> Any:
     from jaxblur.sequence import run_cluster, run_pipeline
 
-    work = FrameWork(arguments, asked).stages()
     if arguments.scheduler:
+        work = FrameWork(arguments, asked).stages()
         return run_cluster(todo, work, arguments.scheduler, arguments.workers or 2)
     # Here and not in the thread that computes: modules are best imported by one thread.
     start_jax(not arguments.no_compile_cache)
-    return run_pipeline(todo, work)
+    import jax
+
+    devices: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    for device in jax.local_devices():
+        devices.put(device)
+    return run_pipeline(todo, FrameWork(arguments, asked, devices).stages())
 
 
 def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
