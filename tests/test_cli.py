@@ -68,7 +68,8 @@ def test_parameters_and_settings_in_the_help_are_those_of_the_filters():
         known = published.FILTERS[name]
         defaults = {key: parameter.default for key, parameter in known.parameters.items()}
         assert defaults == ({} if record is None else fields(record))
-        assert (known.samples, known.radius) == (settings.samples, settings.radius)
+        for key in ("samples", "radius", "fetch"):
+            assert getattr(known, key) == getattr(settings, key)
         assert all(p.allows(p.default) for p in known.parameters.values())
 
 

@@ -13,7 +13,8 @@ from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
 
 TRUTH = DATA / "sky_car_truth_0011.exr"
-FEW = ("--samples", "7", "--radius", "25")
+GUERTIN = ("--filter", "guertin2014")
+FEW = (*GUERTIN, "--samples", "7", "--radius", "25")
 
 
 @functools.cache
@@ -74,8 +75,8 @@ def test_scores_against_the_truth(tmp_path):
     assert heading == ["against truth", "PSNR dB", "SSIM", "FLIP"]
     # The figure for the sharp crop is that of the data's README.
     assert sharp[:2] == ["input", "15.99"]
-    assert blurred[0] == "guertin2014"
-    assert float(blurred[1]) > 26 and float(blurred[2]) > float(sharp[2])
+    assert blurred[0] == "layered", "the default"
+    assert float(blurred[1]) > 27 and float(blurred[2]) > float(sharp[2])
     assert float(blurred[3]) < float(sharp[3])
 
 
@@ -83,7 +84,7 @@ def _truth_of(frame):
     return frame.with_name(frame.name.replace("frame", "truth"))
 
 
-@pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity"])
+@pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity", "layered"])
 def test_other_filters_use_their_published_settings(tmp_path, name):
     from jaxblur.filters import FILTERS, PUBLISHED
 
@@ -114,7 +115,7 @@ def test_a_closed_shutter_gives_the_input_back(tmp_path):
 
 def test_an_automatic_radius_fits_the_fastest_vector(tmp_path):
     out = tmp_path / "out.exr"
-    outcome = run("blur", CAR, "-o", out, "--samples", "7", "--radius", "auto")
+    outcome = run("blur", CAR, "-o", out, *FEW, "--radius", "auto")
     fastest = np.linalg.norm(exr.read_buffers(CAR).velocity, axis=-1).max()
     radius = tomllib.loads(attributes(out)["jaxblur:settings"])["radius"]
     assert fastest <= radius < fastest + 5
@@ -207,15 +208,16 @@ def test_an_input_is_never_overwritten(tmp_path, option):
     [
         (("--filter", "guertin"), ("no filter 'guertin'", "did you mean guertin2014")),
         (("--preset", "blendr"), ("no preset 'blendr'", "did you mean blender")),
-        (("--param", "kapa=1"), ("'kapa'", "did you mean kappa", "gamma")),
+        ((*GUERTIN, "--param", "kapa=1"), ("'kapa'", "did you mean kappa", "gamma")),
         (("--param", "kappa=abc"), ("kappa must be a number", "'abc'")),
         (("--param", "kappa"), ("NAME=VALUE",)),
-        (("--param", "kappa=0"), ("kappa must be above 0",)),
-        (("--param", "tau=1.5"), ("tau must be 0 to 1",)),
-        (("--param", "kappa=nan"), ("kappa must be above 0",)),
+        ((*GUERTIN, "--param", "kappa=0"), ("kappa must be above 0",)),
+        ((*GUERTIN, "--param", "tau=1.5"), ("tau must be 0 to 1",)),
+        ((*GUERTIN, "--param", "kappa=nan"), ("kappa must be above 0",)),
         (("--filter", "pixel_velocity", "--param", "kappa=1"), ("it has none",)),
         (("--filter", "mcguire2012", "--samples", "14"), ("--samples must be odd", "use 15")),
         (("--samples", "0"), ("whole number from 1",)),
+        (("--samples", "2"), ("--samples must be at least 3 for layered",)),
         (("--radius", "big"), ("whole number from 1",)),
         (("--border", "wrap"), ("'skip', 'clamp'",)),
         (("--shutter", "-1"), ("--shutter must be", "-1")),

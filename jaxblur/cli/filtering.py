@@ -49,7 +49,7 @@ def add_filter_options(parser: argparse.ArgumentParser) -> Any:
         group.add_argument(
             f"--{name.replace('_', '-')}",
             choices=options,
-            help=f"default {getattr(Settings(), name)}",
+            help="as published" if name == "fetch" else f"default {getattr(Settings(), name)}",
         )
     return group
 
@@ -104,7 +104,9 @@ def complete(
     if name not in published.FILTERS:
         known = ", ".join(published.FILTERS)
         raise CommandError(f"{arguments.parameters}: no filter {name!r}; there are {known}.")
-    settings = {key: getattr(published.FILTERS[name], key) for key in ("samples", "radius")}
+    settings = {
+        key: getattr(published.FILTERS[name], key) for key in ("samples", "radius", "fetch")
+    }
     values = dict(arguments.param)
     if fitted:
         source = str(arguments.parameters)
@@ -117,6 +119,8 @@ def complete(
         raise CommandError(
             f"--samples must be odd for {name}, got {chosen.samples}; use {chosen.samples + 1}."
         )
+    if name == "layered" and chosen.samples < 3:
+        raise CommandError(f"--samples must be at least 3 for {name}, got {chosen.samples}.")
     return name, published.checked_parameters(name, values), chosen
 
 

@@ -48,11 +48,13 @@ class Published:
         parameters: by name.
         samples: taps per pixel.
         radius: longest half-spread, pixels.
+        fetch: how color is read at a tap.
     """
 
     parameters: Mapping[str, Parameter]
     samples: int
     radius: int
+    fetch: str = "nearest"
 
 
 def _positive(default: float, meaning: str) -> Parameter:
@@ -97,9 +99,10 @@ FILTERS: dict[str, Published] = {
         },
         samples=35,
         radius=160,
+        fetch="bilinear",
     ),
 }
-DEFAULT_FILTER = "guertin2014"
+DEFAULT_FILTER = "layered"
 
 
 def checked_parameters(
@@ -134,7 +137,8 @@ def describe_filters() -> str:
     """List filters, parameters and published values for the help."""
     lines = ["filters, with their published settings and --param names:"]
     for name, published in FILTERS.items():
-        lines.append(f"  {name}: --samples {published.samples} --radius {published.radius}")
+        settings = f"--samples {published.samples} --radius {published.radius}"
+        lines.append(f"  {name}: {settings} --fetch {published.fetch}")
         lines += [
             f"      {f'{key}={parameter.default:g}':<20} {parameter.meaning} ({parameter.range()})"
             for key, parameter in published.parameters.items()

@@ -141,16 +141,17 @@ def _slice(size, settings, count, index, local, tables):
 
 
 def _motion(frame, parameters, settings, log_depth):
-    """Velocity x, y and half the acceleration x, y of every pixel; the latter needs a path."""
-    motion = frame.velocity
+    """Velocity x, y, speed, and half the acceleration x, y of every pixel; that needs a path."""
+    motion = velocity = frame.velocity
     if frame.path is not None:
         opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
         motion = jnp.concatenate([closing - opening, opening + closing], axis=-1) / 2
+    longest = jnp.asarray(settings.radius, velocity.dtype)
+    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+    motion = motion * (longest / jnp.maximum(speed, longest))[..., None]
     separation, coverage = parameters.surface_sharpness, parameters.thin_coverage
     x, y, *half = purest_motion(motion, log_depth, separation, coverage, settings.backend)
-    speed = safe_norm(x, y)
-    scale = jnp.minimum(1, settings.radius / jnp.maximum(speed, settings.radius))
-    return x * scale, y * scale, jnp.minimum(speed, settings.radius), half
+    return x, y, safe_norm(x, y), half
 
 
 def _turn(size, local, tables):
@@ -270,14 +271,14 @@ def layered(
     if settings.samples < GUESSES:
         raise ValueError(f"`samples` must be at least {GUESSES}, got {settings.samples}.")
     frame = check_frame(frame)
-    shape = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, *shape)
+    height, width = shape = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, height, width)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     log_depth = jnp.log(finite_depth(frame.depth))
     x, y, speed, half = _motion(frame, parameters, settings, log_depth)
     tile_size = fine_tile(settings.radius)
     pixels = reaching_pixels(x, y, speed, log_depth, tile_size)
-    exists, tile = pixels >= 0, own_tile(*shape, tile_size)
+    exists, tile = pixels >= 0, own_tile(height, width, tile_size)
     vectors = jnp.stack([x.reshape(-1)[pixels], y.reshape(-1)[pixels]], axis=-1)
     vectors = jnp.where(exists[..., None], vectors, 0)
     read = {"x": x, "y": y, "depth": log_depth}
