@@ -1,9 +1,11 @@
 """What the papers say about speed, as ratios, beside the same ratios here."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxblur.bench import Row
+from jaxblur.bench.results import Figures
 
 from . import plan
 
@@ -26,39 +28,55 @@ class Claim(NamedTuple):
     Attributes:
         what: in words.
         published: by the paper.
-        ours: measured, None if it was not.
-        noise: half width of our interquartile range, as a share.
+        ours: of calibrated times, None if they were not measured.
+        spread: interquartile range of ours.
+        processor: ratio of the times of the processor.
     """
 
     what: str
     published: float
-    ours: float | None
-    noise: float | None
+    ours: float | None = None
+    spread: float | None = None
+    processor: float | None = None
 
 
-Times = Callable[..., tuple[float, float] | None]
+Times = Callable[..., Figures | None]
 
 
 def _times(rows: Sequence[Row]) -> Times:
-    """Look a calibrated time up, and its relative interquartile range."""
+    """Look up what was measured of a case."""
 
-    def look_up(method: str, size: tuple[int, int], **settings: Any) -> tuple[float, float] | None:
+    def look_up(method: str, size: tuple[int, int], **settings: Any) -> Figures | None:
         wanted = plan.make_case(method, **settings)
         for row in rows:
-            same_size = (row["height"], row["width"]) == tuple(map(str, size))
-            if row["scene"] == plan.MOVING_SCENE and same_size and row["method"] == method:
-                figures = row.figures
-                if row.case == wanted and figures.ms and figures.calibration_ms:
-                    return figures.ms / figures.calibration_ms, (figures.ms_iqr or 0) / figures.ms
+            subject = row["scene"], row["source"], row["height"], row["width"]
+            expected = plan.MOVING_SCENE, plan.NO_TRUTH, *map(str, size)
+            if subject == expected and row["method"] == method:
+                if row.case == wanted and row.figures.ms and row.figures.cpu_ms:
+                    return row.figures
         return None
 
     return look_up
 
 
-def _claim(what: str, published: float, over: Any, under: Any) -> Claim:
+def _claim(what: str, published: float, over: Figures | None, under: Figures | None) -> Claim:
     if over is None or under is None:
-        return Claim(what, published, None, None)
-    return Claim(what, published, over[0] / under[0], (over[1] + under[1]) / 2)
+        return Claim(what, published)
+    ratio = _calibrated(over) / _calibrated(under)
+    spread = math.hypot(_relative_spread(over), _relative_spread(under))
+    return Claim(what, published, ratio, ratio * spread, _processor(over) / _processor(under))
+
+
+def _calibrated(figures: Figures) -> float:
+    return (figures.ms or math.nan) / (figures.calibration_ms or math.nan)
+
+
+def _relative_spread(figures: Figures) -> float:
+    return (figures.ms_iqr or 0.0) / (figures.ms or math.nan)
+
+
+def _processor(figures: Figures) -> float:
+    return figures.cpu_ms or math.nan
 
 
 def claims(rows: Sequence[Row], sizes: Sequence[tuple[int, int]]) -> list[Claim]:

@@ -63,7 +63,7 @@ def draw_growth(path: Path, rows: Sequence[Row]) -> None:
                 lines.setdefault(_but(row, name), []).append(point)
         methods = sorted({key[0] for key in lines})
         for key, points in lines.items():
-            if len({x for x, *_ in points}) > 2:
+            if len({x for x, *_ in points}) > 1:
                 x, y, spread = np.array(sorted(points)).T
                 number = methods.index(key[0])
                 label = " ".join(key[:1]) + _others(key, name)

@@ -17,7 +17,7 @@ from ..settings import Settings
 from ..vectors import speed_statistics
 from .cases import UNBLURRED, Case
 from .memory import peak_resident_megabytes
-from .programs import Program, Programs, machine, parameters_of
+from .programs import Program, Programs, machine, parameter_leaves
 from .results import Figures, Row, code_digest, identity
 from .subjects import Loaded, Subject
 from .timing import Timing, calibration, time_in_turn
@@ -115,7 +115,7 @@ def _prepare(
 
 
 def _filter_run(method: str, program: Program, loaded: Loaded) -> Run:
-    parameters = parameters_of(method)
+    parameters = parameter_leaves(method)
     return lambda: program.compiled(parameters, loaded.frame).block_until_ready()
 
 

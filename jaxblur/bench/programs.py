@@ -1,14 +1,13 @@
 """Filters compiled ahead of time, and the machine that they run on."""
 
 import dataclasses
-import functools
 import os
 import platform
 import time
 from typing import Any
 
 import jax
-import numpy as np
+import jax.numpy as jnp
 
 from ..filters import FILTERS, PUBLISHED
 from ..frame import Frame
@@ -20,7 +19,7 @@ class Program:
     """A filter, compiled for one size.
 
     Attributes:
-        compiled: function of parameters and frame.
+        compiled: function of `parameter_leaves` and a frame.
         compile_seconds: of tracing and compiling.
         temporary_bytes: peak of the temporary buffers by the compiler's account, or None.
     """
@@ -50,11 +49,13 @@ class Programs:
         return self._by_case[key]
 
     def _compile(self, method: str, settings: Settings, frame: Frame) -> Program:
-        blur = functools.partial(FILTERS[method], settings=settings)
+        structure = jax.tree.structure(_published_parameters(method))
+
+        def blur(leaves: list[jax.Array], frame: Frame) -> jax.Array:
+            return FILTERS[method](frame, jax.tree.unflatten(structure, leaves), settings=settings)
+
         started = time.perf_counter()
-        lowered = jax.jit(lambda parameters, frame: blur(frame, parameters)).lower(
-            parameters_of(method), frame
-        )
+        lowered = jax.jit(blur).lower(parameter_leaves(method), frame)
         text = lowered.as_text()
         if text not in self._by_text:
             compiled = lowered.compile()
@@ -65,10 +66,15 @@ class Programs:
         return self._by_text[text]
 
 
-def parameters_of(method: str) -> Any:
-    """The published parameters of a filter as float32 scalars, None if it has none."""
-    record = PUBLISHED[method][0] if method in PUBLISHED else None
-    return jax.tree.map(np.float32, record)
+def parameter_leaves(method: str) -> list[jax.Array]:
+    """The published parameters of a filter, float32, in the order of their record."""
+    return [
+        jnp.asarray(leaf, jnp.float32) for leaf in jax.tree.leaves(_published_parameters(method))
+    ]
+
+
+def _published_parameters(method: str) -> Any:
+    return PUBLISHED[method][0] if method in PUBLISHED else None
 
 
 def machine() -> str:

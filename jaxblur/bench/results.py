@@ -15,20 +15,8 @@ from .cases import AUTO, RENDERERS, Case
 from .subjects import Subject
 
 _PACKAGE = pathlib.Path(__file__).parents[1]
-_MEASURED_CODE = (
-    "frame.py",
-    "safe_math.py",
-    "noise.py",
-    "srgb.py",
-    "settings.py",
-    "tiles.py",
-    "weights.py",
-    "sampling.py",
-    "metrics.py",
-    "filters/*.py",
-    "native/*",
-    "scenes/*.py",
-)
+_NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show", "vectors"}
+_SOURCES = {".py", ".cc"}
 SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
 _NUMBERS = ("samples", "radius")
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
@@ -146,12 +134,12 @@ def identity(subject: Subject, case: Case) -> tuple[str, ...]:
 
 @functools.cache
 def code_digest() -> str:
-    """Eight hexadecimal digits that change with the code of filters, scenes and metrics."""
+    """Eight hexadecimal digits that change with the code of filters, scenes or metrics."""
     digest = hashlib.sha256()
-    for pattern in _MEASURED_CODE:
-        for path in sorted(_PACKAGE.glob(pattern)):
-            if path.is_file():
-                digest.update(path.read_bytes())
+    for path in sorted(_PACKAGE.rglob("*")):
+        home = path.relative_to(_PACKAGE).parts[0]
+        if path.suffix in _SOURCES and home not in _NOT_MEASURED:
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:8]
 
 

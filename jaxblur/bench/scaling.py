@@ -17,7 +17,7 @@ FACTORS: Mapping[str, Callable[[Row], float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class PowerLaw:
-    """``ms = scale * prod_k factor_k ** exponent_k``.
+    """``time = scale * prod_k factor_k ** exponent_k``.
 
     Attributes:
         exponents: by name of the factor; factors that did not vary are missing.
@@ -32,13 +32,15 @@ class PowerLaw:
     rows: int
 
 
-def fit_power_law(rows: Iterable[Row]) -> PowerLaw:
+def fit_power_law(rows: Iterable[Row], figure: str = "ms") -> PowerLaw:
     """Fit the growth of time with pixels, samples and radius by least squares of logarithms.
 
     Each scene has a scale of its own; the exponents are shared.
 
     Args:
         rows: of one method, with the same other settings.
+        figure: ``ms``, or ``cpu_ms`` for the time of the processor, which another program's load
+            touches less.
 
     Returns:
         The law.
@@ -48,7 +50,7 @@ def fit_power_law(rows: Iterable[Row]) -> PowerLaw:
     """
     from scipy import stats
 
-    measured = [row for row in rows if row.figures.ms]
+    measured = [row for row in rows if getattr(row.figures, figure)]
     logarithms = {
         name: np.log([factor(row) for row in measured]) for name, factor in FACTORS.items()
     }
@@ -62,7 +64,7 @@ def fit_power_law(rows: Iterable[Row]) -> PowerLaw:
             f"`rows` must number at least {design.shape[1] + 1} to fit "
             f"{', '.join(varying) or 'nothing'}, got {len(measured)}."
         )
-    target = np.log([row.figures.ms or math.nan for row in measured])
+    target = np.log([getattr(row.figures, figure) for row in measured])
     solution, *_ = np.linalg.lstsq(design, target, rcond=None)
     variance = float(np.sum(np.square(target - design @ solution))) / freedom
     covariance = variance * np.linalg.pinv(design.T @ design)
