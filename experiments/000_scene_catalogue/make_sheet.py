@@ -10,50 +10,33 @@ import io
 import time
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from PIL import Image
 
-from jaxblur import scenes, srgb
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from jaxblur import scenes, show
 
 SIZE = (180, 320)
 SAMPLES = 128
 COLUMNS = 3
-CELL_INCHES = (4.0, 1.24)
+WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 100
 SHEET = Path(__file__).parents[2] / "jaxblur" / "scenes" / "catalogue.png"
 
 
 def pair(name: str) -> np.ndarray:
-    """Render one scene at time 0, shutter 1/2: sharp on the left, true on the right, sRGB."""
+    """Render one scene at time 0, shutter 1/2: sharp on the left, true on the right."""
     scene = scenes.SCENES[name]()
     started = time.perf_counter()
     sharp = scenes.render(scene, size=SIZE).color
     truth = np.asarray(scenes.accumulate(scene, samples=SAMPLES, size=SIZE))
     print(f"{name:24s} {time.perf_counter() - started:6.1f} s", flush=True)
-    line = np.ones((SIZE[0], 4, 3), np.float32)
-    return srgb.encode(np.clip(np.hstack([np.asarray(sharp), line, truth]), 0, 1))
+    return np.hstack([np.asarray(sharp), np.ones((SIZE[0], 4, 3), np.float32), truth])
 
 
 def draw(pairs: dict[str, np.ndarray]) -> bytes:
     """Lay the pairs out under their names, and reduce to 256 colors to keep the file small."""
-    rows = -(-len(pairs) // COLUMNS)
-    size = (COLUMNS * CELL_INCHES[0], rows * CELL_INCHES[1])
-    figure, axes = plt.subplots(rows, COLUMNS, figsize=size)
-    figure.subplots_adjust(
-        left=0.003, right=0.997, bottom=0.003, top=0.98, wspace=0.02, hspace=0.13
-    )
-    for axis in axes.flat:
-        axis.axis("off")
-    for axis, (name, image) in zip(axes.flat, pairs.items(), strict=False):
-        axis.imshow(image, interpolation="antialiased", interpolation_stage="rgba")
-        axis.set_title(name, fontsize=7, pad=2)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=DOTS_PER_INCH)
-    small = io.BytesIO()
+    picture, small = io.BytesIO(), io.BytesIO()
+    show.image_grid(pairs, COLUMNS, width=WIDTH_INCHES).savefig(picture, dpi=DOTS_PER_INCH)
     reduced = Image.open(picture).convert("RGB").quantize(256, dither=Image.Dither.NONE)
     reduced.save(small, "PNG", optimize=True)
     return small.getvalue()

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxblur
-from jaxblur import exr, metrics, pictures
+from jaxblur import exr, metrics, pictures, report
 from jaxblur.filters import PUBLISHED
 
 WINDOW = (80, 120)
@@ -135,6 +135,20 @@ def judge(shot: Shot, images: dict[tuple[str, str], Any]) -> list[Result]:
     ]
 
 
+def report_shot(
+    shot: Shot, images: dict[tuple[str, str], Any], judged: list[Result]
+) -> report.Shot:
+    """The same pictures and scores for ``jaxblur report``."""
+    found = []
+    for result in judged:
+        moving = {f"{name}, moving": value for name, value in result.moving._asdict().items()}
+        label = result.method if result.vectors != "gbuf" else f"{result.method}, centers"
+        image = images[result.method, result.vectors]
+        scores = result.whole._asdict() | moving
+        found.append(report.Picture(label, image, scores=scores, group=result.method))
+    return report.Shot(shot.name, shot.truth, found)
+
+
 def picture_row(shot: Shot, image: Any, area: tuple[slice, slice]) -> list[Any]:
     """Input, output, truth and 4 times the error of the output, cut to an area."""
     row = [np.asarray(picture)[area] for picture in (shot.sharp.color, image, shot.truth)]
@@ -218,14 +232,17 @@ def main() -> None:
     options = parse_arguments()
     options.output.mkdir(parents=True, exist_ok=True)
     results: list[Result] = []
-    overview = []
+    overview, shots = [], []
     for shot in find_shots(options.reference_data, options.frame, options.shutter):
         images = blur_all(shot)
-        results += judge(shot, images)
+        judged = judge(shot, images)
+        results += judged
+        shots.append(report_shot(shot, images, judged))
         overview.append(overview_row(shot, images))
         pictures.write_png(
             options.output / f"{shot.name.replace(' ', '_')}.png", sheet(shot, images)
         )
+    report.write_result(options.output / "result", "The published filters", shots)
     write_csv(options.output / "results.csv", results)
     (options.output / "results.md").write_text(table(results), encoding="utf-8")
     pictures.write_png(options.output / "overview.png", pictures.contact_sheet(overview))

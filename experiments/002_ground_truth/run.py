@@ -16,14 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import matplotlib
 import numpy as np
 
-from jaxblur import metrics, pictures, scenes
+from jaxblur import metrics, pictures, scenes, show
 from jaxblur.filters import FILTERS, PUBLISHED
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
 
 CUBES = 500
 CROP = 48
@@ -202,61 +198,84 @@ def convergence(plan: Plan, name: str, truth: jax.Array) -> list[Row]:
 
 def draw(rows: Sequence[Row], target: Path) -> None:
     """Plot the four questions."""
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8.5))
+    figure = show.new_figure(15, 8.5)
+    axes = figure.subplots(2, 3)
+    draw_methods(rows, axes[0])
     pick = _picker(rows)
-    for name in ("accumulate", "stochastic", "motion_paths"):
-        part = pick("quality", name)
-        seconds = [r.seconds for r in part]
-        axes[0, 0].plot(seconds, [r.psnr for r in part], "o-", label=name)
-        axes[0, 1].plot(seconds, [r.flip for r in part], "o-", label=name)
-        part = pick("complexity", name)
-        axes[0, 2].plot([r.setting for r in part], [r.seconds for r in part], "o-", label=name)
-    _label(axes[0, 0], f"quality, {CUBES} cubes [fig. 13]", "seconds", "PSNR, dB", log=True)
-    _label(axes[0, 1], "the same in FLIP", "seconds", "FLIP", log=True)
-    axes[0, 1].set_yscale("log")
-    _label(axes[0, 2], "time, 8 samples, or paths at centers [fig. 15]", "cubes", "seconds")
     part = pick("complexity", "motion_paths")
-    intervals = [r.intervals_per_pixel for r in part]
-    axes[1, 0].plot([r.setting for r in part], intervals, "o-", label="intervals per pixel")
-    _label(axes[1, 0], "depth complexity and sorting [fig. 16]", "cubes", "intervals per pixel")
-    twin = axes[1, 0].twinx()
-    twin.plot([r.setting for r in part], [r.sorting_share for r in part], "s--", color="gray")
-    twin.set_ylabel("share of sorting (dashed)")
-    twin.set_ylim(0, 1)
-    part = pick("mask", "motion_paths")
-    axes[1, 1].plot([r.setting for r in part], [r.psnr for r in part], "o-", label="PSNR, dB")
-    _label(axes[1, 1], "bits of the mask, against 512 [section 4.1]", "bits", "PSNR, dB")
-    twin = axes[1, 1].twinx()
-    twin.plot([r.setting for r in part], [r.seconds for r in part], "s--", color="gray")
-    twin.set_ylabel("seconds (dashed)")
-    twin.set_ylim(bottom=0)
-    for name in dict.fromkeys(r.scene for r in rows if r.part == "convergence"):
-        part = [r for r in pick("convergence", "accumulate") if r.scene == name]
-        line = axes[1, 2].plot([r.setting for r in part], [r.psnr for r in part], "o-", label=name)
-        level = next(float(r.psnr) for r in rows if r.part == "needed" and r.scene == name)
-        axes[1, 2].axhline(level, color=line[0].get_color(), ls=":", lw=1)
-    _label(
-        axes[1, 2],
-        "accumulate; dotted: 10 dB above the best filter",
-        "samples",
-        "PSNR, dB",
-        log=True,
+    counts = [r.setting for r in part]
+    show.curves(
+        {"intervals per pixel": (counts, [r.intervals_per_pixel for r in part])},
+        x="cubes",
+        y="intervals per pixel",
+        title="depth complexity and sorting [fig. 16]",
+        axes=axes[1, 0],
     )
-    figure.tight_layout()
+    second_axis(axes[1, 0], counts, [r.sorting_share for r in part], "share of sorting", 1)
+    part = pick("mask", "motion_paths")
+    bits = [r.setting for r in part]
+    show.curves(
+        {"PSNR, dB": (bits, [r.psnr for r in part])},
+        x="bits",
+        y="PSNR, dB",
+        title="bits of the mask, against 512 [section 4.1]",
+        axes=axes[1, 1],
+    )
+    second_axis(axes[1, 1], bits, [r.seconds for r in part], "seconds")
+    draw_convergence(rows, axes[1, 2])
     figure.savefig(target, dpi=70)
-    plt.close(figure)
+
+
+def draw_methods(rows: Sequence[Row], axes: Sequence[Any]) -> None:
+    """Quality against time, twice, and time against the number of cubes."""
+    pick = _picker(rows)
+    names = ("accumulate", "stochastic", "motion_paths")
+
+    def lines(part: str, x: str, y: str) -> dict[str, tuple[list[Any], list[Any]]]:
+        found = {name: pick(part, name) for name in names}
+        return {
+            name: ([getattr(r, x) for r in part], [getattr(r, y) for r in part])
+            for name, part in found.items()
+        }
+
+    title = f"quality, {CUBES} cubes [fig. 13]"
+    quality = lines("quality", "seconds", "psnr")
+    show.curves(quality, x="seconds", y="PSNR, dB", title=title, log="x", axes=axes[0])
+    visible = lines("quality", "seconds", "flip")
+    show.curves(visible, x="seconds", y="FLIP", title="the same in FLIP", log="xy", axes=axes[1])
+    title = "time, 8 samples, or paths at centers [fig. 15]"
+    times = lines("complexity", "setting", "seconds")
+    show.curves(times, x="cubes", y="seconds", title=title, axes=axes[2])
+
+
+def draw_convergence(rows: Sequence[Row], axis: Any) -> None:
+    """Accumulation against samples, and the levels that are 10 dB above the best filter."""
+    part = _picker(rows)("convergence", "accumulate")
+    scene_names = list(dict.fromkeys(r.scene for r in rows if r.part == "convergence"))
+    lines = {name: [r for r in part if r.scene == name] for name in scene_names}
+    show.curves(
+        {name: ([r.setting for r in own], [r.psnr for r in own]) for name, own in lines.items()},
+        x="samples",
+        y="PSNR, dB",
+        title="accumulate; dotted: 10 dB above the best filter",
+        log="x",
+        axes=axis,
+    )
+    for number, name in enumerate(scene_names):
+        level = next(float(r.psnr) for r in rows if r.part == "needed" and r.scene == name)
+        axis.axhline(level, color=f"C{number}", ls=":", lw=1)
+
+
+def second_axis(axis: Any, x: Any, y: Any, label: str, top: float | None = None) -> None:
+    """Draw values of another unit dashed, from 0, with their scale on the right."""
+    twin = axis.twinx()
+    twin.plot(x, y, "s--", color="gray")
+    twin.set_ylabel(f"{label} (dashed)")
+    twin.set_ylim(0, top)
 
 
 def _picker(rows: Sequence[Row]) -> Callable[[str, str], list[Any]]:
     return lambda part, method: [r for r in rows if r.part == part and r.method == method]
-
-
-def _label(axis: Any, title: str, x: str, y: str, *, log: bool = False) -> None:
-    axis.set(title=title, xlabel=x, ylabel=y)
-    if log:
-        axis.set_xscale("log")
-    axis.grid(alpha=0.3)
-    axis.legend()
 
 
 def write_crops(

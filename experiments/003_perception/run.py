@@ -17,13 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 
-from jaxblur import metrics, scenes
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
+from jaxblur import metrics, scenes, show
 
 MATERIALS = {"M1": "flat", "M2": "checker", "M3": "noise"}
 SPEEDS = {"S1": "slow", "S2": "medium", "S3": "fast"}
@@ -230,31 +226,36 @@ def report(cells: Sequence[Cell], images: Images, plan: Plan) -> tuple[str, floa
 
 def draw(cells: Sequence[Cell], images: Images, plan: Plan, limit: float, target: Path) -> None:
     """Plot FLIP against samples per shutter time, over the pictures of the extreme cells."""
-    figure, axes = plt.subplots(2, 4, figsize=(15, 6.5))
+    figure = show.new_figure(15, 6.5)
+    axes = figure.subplots(2, 4)
     corners = itertools.product(
         (plan.levels[-1], plan.levels[0]), (plan.shutters[0], plan.shutters[-1])
     )
     for axis, (level, shutter) in zip(axes[:, :2].flat, corners, strict=True):
-        axis.imshow(np.asarray(metrics.display(images[shutter, level])))
-        axis.set_title(f"{shutter} {level}")
-        axis.axis("off")
+        show.show_pixels(axis, np.asarray(metrics.display(images[shutter, level])), shutter + level)
     for axis, material in zip(axes[:, 2:].flat, plan.materials, strict=False):
-        for shutter in plan.shutters:
-            mine = [
-                c for c in cells if (c.material, c.speed, c.shutter) == (material, "S2", shutter)
-            ]
-            mine = [c for c in mine if c.flip > 0]
-            axis.loglog(
-                [LEVELS[c.level] for c in mine], [c.flip for c in mine], "o-", label=shutter
-            )
-        axis.axhline(limit, color="gray", ls=":")
-        axis.set(title=f"{material} S2", xlabel="samples", ylabel="FLIP against A5")
-        axis.legend(fontsize=7)
+        lines = {shutter: _above_zero(cells, material, shutter) for shutter in plan.shutters}
+        show.curves(
+            lines,
+            x="samples",
+            y="FLIP against A5",
+            title=f"{material} S2",
+            log="xy",
+            levels={"": limit},
+            axes=axis,
+        )
     for axis in axes[:, 2:].flat[len(plan.materials) :]:
         axis.axis("off")
-    figure.tight_layout()
     figure.savefig(target, dpi=70)
-    plt.close(figure)
+
+
+def _above_zero(
+    cells: Sequence[Cell], material: str, shutter: str
+) -> tuple[list[float], list[float]]:
+    """Samples and FLIP at medium speed; 0 has no place on a logarithmic axis."""
+    key = (material, "S2", shutter)
+    mine = [c for c in cells if (c.material, c.speed, c.shutter) == key and c.flip > 0]
+    return [float(LEVELS[c.level]) for c in mine], [c.flip for c in mine]
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from experiments.common import GUERTIN, Example
+from jaxblur import show
 from jaxblur.fitting.evaluation import evaluate
 from jaxblur.fitting.pairs import make_pairs
 
@@ -200,22 +201,17 @@ def per_millisecond(gain: float, cost: float) -> float | str:
 
 def draw(path: Path, rows: Sequence[Any], kinds: Sequence[str]) -> None:
     """Bars of the gain of each component by kind of scene, for the three ways of adding it."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    figure = show.new_figure(11, 4.2)
     axes = figure.subplots(1, 3, sharey=True)
-    names = list(COMPONENTS)
     titles = {"alone": "added to nothing", "nested": "added in this order", "last": "added last"}
     for axis, (way, title) in zip(axes, titles.items(), strict=True):
-        for offset, kind in enumerate(kinds):
-            bars = [next(r[3] for r in rows if r[:3] == (name, way, kind)) for name in names]
-            place = np.arange(len(names)) + (offset - (len(kinds) - 1) / 2) * 0.8 / len(kinds)
-            axis.barh(place, bars, 0.8 / len(kinds), label=kind)
-        axis.set(title=title, xlabel="held-out gain, dB", yticks=range(len(names)))
-        axis.set_yticklabels(names)
-        axis.axvline(0, color="black", linewidth=0.6)
-        axis.grid(axis="x", alpha=0.3)
-    axes[0].invert_yaxis()
+        groups = {
+            kind: {
+                name: next(r[3] for r in rows if r[:3] == (name, way, kind)) for name in COMPONENTS
+            }
+            for kind in kinds
+        }
+        show.bars(groups, x="held-out gain, dB", title=title, axes=axis)
     axes[0].legend()
     figure.savefig(path, dpi=110)
 

@@ -10,7 +10,7 @@ over the pixels that motion reaches. Seeds are fixed.
 
 import argparse
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from experiments.common import GUERTIN, Example
-from jaxblur import fitting, metrics, pictures
+from jaxblur import fitting, metrics, pictures, report, show
 from jaxblur.filters import PUBLISHED
 from jaxblur.fitting.objective import draw_noise
 
@@ -198,32 +198,23 @@ def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:
 
 def draw_curves(path: Path, fits: Mapping[str, common.Refit]) -> None:
     """Loss against step for every fold, as a share of the first loss."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.5, 3.5), layout="constrained")
-    axes = figure.subplots()
-    for name, fit in fits.items():
-        axes.plot(np.array(fit.losses) / fit.losses[0], label=f"without {name}")
-    axes.set(xlabel="step", ylabel="training loss / first loss")
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=100)
+    lines = {
+        f"without {name}": (range(len(fit.losses)), np.array(fit.losses) / fit.losses[0])
+        for name, fit in fits.items()
+    }
+    show.curves(lines, x="step", y="training loss / first loss").savefig(path, dpi=100)
 
 
 def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Example]) -> None:
     """The loss along each parameter, the others held."""
-    from matplotlib.figure import Figure
-
     pairs = [(example.frame, example.truth) for example in examples]
-    figure = Figure(figsize=(13, 2.8), layout="constrained")
+    figure = show.new_figure(13, 2.8)
     for axis, name in zip(figure.subplots(1, len(FREE), sharey=True), FREE, strict=True):
         around = result.parameters[name] * np.geomspace(1 / 3, 3, POINTS)
         values = np.linspace(0.1, 0.95, POINTS) if name == "tau" else around
         scan = fitting.profile(result, pairs, name, values=values, mask="moving")
-        axis.plot(scan.values, scan.losses / scan.losses.min(), marker="o", markersize=3)
-        axis.axvline(scan.fitted, linestyle="--", color="gray")
-        axis.set_xlabel(name)
-        axis.grid(alpha=0.3)
+        line = scan.values, scan.losses / scan.losses.min()
+        show.curves({"": line}, x=name, y="", marks={"": scan.fitted}, axes=axis)
     figure.supylabel("loss / least loss")
     figure.savefig(path, dpi=100)
 
@@ -235,6 +226,23 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
     parser.add_argument("--quick", action="store_true", help="two scenes, two steps, tables only")
     return parser.parse_args()
+
+
+def shots(
+    examples: Sequence[Example], candidates: Mapping[str, Mapping[str, Parameters]]
+) -> Iterator[report.Shot]:
+    """Every scene by every set of parameters, for ``jaxblur report``."""
+    for example in examples:
+        found = [
+            report.Picture(
+                label,
+                blur(example.frame, values[example.name], SEEDS[0]),
+                settings=values[example.name],
+            )
+            for label, values in candidates.items()
+        ]
+        sharp = report.Picture("sharp", example.frame.color)
+        yield report.Shot(example.name, example.truth, [sharp, *found])
 
 
 def write_scores(output: Path, judged: Sequence[Judged], names: Sequence[str]) -> None:
@@ -262,6 +270,18 @@ def run_rest(
         for row in judge(other, label, values)
     ]
     draw_curves(output / "curves.png", fits)
+    candidates = {"published": dict.fromkeys(used, published), "fitted": used}
+    report.write_result(
+        output / "result",
+        "Fitting the published filter, each scene left out in turn",
+        shots([*examples, *others], candidates),
+        {
+            "filter": GUERTIN,
+            "shutter": SHUTTER,
+            "samples": SETTINGS.samples,
+            "radius": SETTINGS.radius,
+        },
+    )
     rows = [sheet_row(example, [published, used[example.name]]) for example in examples]
     pictures.write_png(output / "sheet.png", pictures.contact_sheet(rows))
     movies = [temporal(n, {"published": published, "fitted": used[n]}) for n in MOVIES]

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from .. import show
 from ..frame import Frame
 from .constraints import constraints_of, to_free, to_values
 from .descent import Task
@@ -50,16 +51,14 @@ class Profile:
         Args:
             path: picture file; the extension says which kind.
         """
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(5, 3.5), layout="constrained")
-        axes = figure.subplots()
-        axes.plot(self.values, self.losses, marker="o", markersize=3)
-        axes.axvline(self.fitted, linestyle="--", color="gray", label=f"fitted {self.fitted:.4g}")
         others = "refitted" if self.refitted else "held"
-        axes.set(xlabel=self.name, ylabel="loss", title=f"Other parameters {others}")
-        axes.legend()
-        figure.savefig(path)
+        show.curves(
+            {"": (self.values, self.losses)},
+            x=self.name,
+            y="loss",
+            title=f"Other parameters {others}",
+            marks={f"fitted {self.fitted:.4g}": self.fitted},
+        ).savefig(path)
 
 
 def profile(

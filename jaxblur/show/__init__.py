@@ -19,7 +19,7 @@ from .comparison import (
     image_grid as image_grid,
 )
 from .curves import bars as bars, curves as curves
-from .figures import new_figure as new_figure
+from .figures import new_figure as new_figure, show_pixels as show_pixels
 from .pareto import Measurement as Measurement, pareto as pareto, pareto_front as pareto_front
 from .sliders import sliders as sliders
 from .tiles import (

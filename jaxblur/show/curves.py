@@ -12,8 +12,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+Values = Sequence[float] | np.ndarray
+
+
 def curves(
-    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    lines: Mapping[str, tuple[Values, Values]],
     *,
     x: str,
     y: str,
