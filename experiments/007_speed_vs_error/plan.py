@@ -1,11 +1,12 @@
 """What is measured, in which order: the sub-grid of the default run, the quick one, the product."""
 
 import dataclasses
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments import common
-from jaxblur import bench
+import jaxblur
+from jaxblur import bench, exr
 from jaxblur.bench import Case, Subject, make_case
 from jaxblur.filters import FILTERS
 
@@ -23,6 +24,7 @@ SHUTTER = 1.0
 MOVING_SCENE = "camera_turn"
 """Everything moves in it, as in the frames that the papers timed."""
 NO_TRUTH = "accumulate 0"
+REFERENCE_FRAME = "0011"
 SPEED_SAMPLES = (15, 35)
 EVERY_TILE = "every tile moves"
 
@@ -165,13 +167,22 @@ def reference_jobs(extent: Extent, folder: Path) -> list[Job]:
     """Every filter on rendered reference frames in full size."""
     methods = [bench.UNBLURRED, *FILTERS]
     cases = bench.one_at_a_time(methods, {"samples": extent.reference_samples})
-    examples = common.cycles_examples(folder, common.FULL_WIDTH)[: extent.reference_scenes]
-    return [
-        (subject, _acceptable(case))
-        for example in examples
-        for subject in [bench.frame_subject(example.name, example.frame, example.truth)]
-        for case in cases
-    ]
+    truths = sorted(folder.glob(f"*/truth_{REFERENCE_FRAME}.exr"))[: extent.reference_scenes]
+    if not truths:
+        raise SystemExit(
+            f"{folder} holds no */truth_{REFERENCE_FRAME}.exr; see experiments/blender."
+        )
+    subjects = [_reference_subject(truth) for truth in truths]
+    return [(subject, _acceptable(case)) for subject in subjects for case in cases]
+
+
+def _reference_subject(truth: Path) -> Subject:
+    camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
+    sharp = truth.with_name(truth.name.replace("truth", "frame"))
+    frame = jaxblur.read_frame(sharp, shutter=camera["shutter"])
+    frame = dataclasses.replace(frame, color=frame.color[..., :3])
+    image = exr.read_image(truth)[..., :3]
+    return bench.frame_subject(truth.parent.name, frame, image, camera["shutter"])
 
 
 def alternative_jobs(extent: Extent, alternatives: Sequence[str]) -> list[Job]:

@@ -84,7 +84,7 @@ def catalogue_subject(
 @functools.lru_cache(maxsize=4)
 def _load_scene(name: str, size: tuple[int, int], shutter: float, truth_samples: int) -> Loaded:
     scene = SCENES[name]()
-    frame = dataclasses.replace(render(scene, 0.0, shutter, size), path=None)
+    frame = render(scene, 0.0, shutter, size, path=True)
     truth = None
     if truth_samples:
         truth = accumulate(scene, 0.0, shutter, truth_samples, size)

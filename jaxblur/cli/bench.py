@@ -233,7 +233,7 @@ def _file_subject(
     named = argparse.Namespace(**vars(arguments) | {"input": path, "truth": truth})
     loaded = stages.load(named, Settings())
     buffers = loaded.buffers
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity)
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path, buffers.valid)
     return bench.frame_subject(path.name, frame, loaded.truth, arguments.shutter)
 
 
