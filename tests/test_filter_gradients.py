@@ -20,11 +20,22 @@ PARAMETERS = {
     },
     "mcguire2012": {"soft_z_extent": 3.7},
     "pixel_velocity": {},
+    "layered": {
+        "front_sharpness": 1.3,
+        "landing_tolerance": 2.3,
+        "own_tolerance": 0.9,
+        "surface_sharpness": 0.7,
+        "bend": 0.4,
+        "jitter": 0.9,
+        "distinct": 4.1,
+        "thin_coverage": 0.6,
+    },
 }
 CLASSES = {
     "guertin2014": jaxblur.GuertinParameters,
     "mcguire2012": jaxblur.McGuireParameters,
     "pixel_velocity": lambda: None,
+    "layered": jaxblur.LayeredParameters,
 }
 
 

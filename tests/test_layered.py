@@ -1,0 +1,187 @@
+"""The layered filter: its plain-loop twin, coverage as a share of time, curves, silhouettes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import exr, metrics
+from jaxblur.filters.reaching import fine_tile, reaching_pixels
+from jaxblur.filters.silhouettes import purest_motion
+from tests.exr_files import CAR
+from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
+from tests.reference import layered_loops
+
+PARAMETERS = jaxblur.LayeredParameters()
+# No speed reaches the radius: clamped ones tie, and ties go by rounding.
+SETTINGS = jaxblur.Settings(samples=11, radius=30, fetch="bilinear")
+
+
+def with_path(frame, seed=9):
+    bend = np.random.default_rng(seed).normal(size=frame.velocity.shape)
+    ends = [bend - frame.velocity, bend + frame.velocity]
+    return jaxblur.Frame(*as_arrays(frame), path=jnp.stack(ends, axis=2).astype(frame.color.dtype))
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "curved", "options"),
+    [
+        ((13, 17), "float64", False, {"border": "clamp", "samples": 12}),
+        ((7, 41), "float64", True, {"fetch": "nearest"}),
+        ((24, 32), "float32", False, {}),
+    ],
+)
+def test_equals_plain_loops(shape, dtype, curved, options):
+    settings = jaxblur.Settings(**fields(SETTINGS) | options)
+    with jax.enable_x64(dtype == "float64"):
+        frame, noise = random_frame(shape, dtype=dtype), random_noise(shape, dtype=dtype)
+        frame = with_path(frame) if curved else frame
+        actual = jaxblur.layered(frame, PARAMETERS, settings=settings, noise=noise)
+        assert actual.dtype == dtype
+    path = None if frame.path is None else np.asarray(frame.path)
+    values, options = fields(PARAMETERS), fields(settings)
+    tap = np.asarray(noise.tap)
+    expected = layered_loops.layered(*as_arrays(frame), values, options, tap, path)
+    np.testing.assert_allclose(actual, expected, rtol=RELATIVE[dtype], atol=1e-6)
+
+
+def panned(width=96, speed=7.0):
+    """A smooth texture that moves to the right, and the function that it samples."""
+
+    def texture(x):
+        return 0.5 + 0.3 * np.sin(x / 5)[..., None] * np.array([1.0, 0.5, -0.7])
+
+    x = np.broadcast_to(np.arange(width, dtype=float), (12, width))
+    velocity = jnp.zeros((12, width, 2)).at[..., 0].set(speed)
+    frame = jaxblur.Frame(
+        jnp.asarray(texture(x), jnp.float32), jnp.full((12, width), 4.0), velocity
+    )
+    return frame, texture, x
+
+
+def test_a_uniform_pan_is_the_box_filter():
+    frame, texture, x = panned()
+    settings = jaxblur.Settings(fetch="bilinear", radius=40)
+    blurred = np.asarray(jaxblur.layered(frame, PARAMETERS, settings=settings))
+    box = np.mean([texture(x - t) for t in np.linspace(-7, 7, 1001)], axis=0)
+    inner = np.s_[:, 8:-8]
+    assert metrics.psnr(blurred[inner], box[inner]) > 50
+
+
+def block_over_wall(speed=8.0, width=12):
+    """A white block, nearer, that moves to the right over a black wall at rest."""
+    block = np.zeros((16, 64), bool)
+    block[:, 26 : 26 + width] = True
+    color = np.repeat(block[..., None], 3, axis=-1).astype(np.float32)
+    velocity = np.zeros((16, 64, 2), np.float32)
+    velocity[block, 0] = speed
+    depth = np.where(block, 2.0, 9.0).astype(np.float32)
+    return jaxblur.Frame(*map(jnp.asarray, (color, depth, velocity)))
+
+
+def test_opacity_is_the_share_of_time_for_which_a_pixel_is_covered():
+    frame, settings = block_over_wall(), jaxblur.Settings(samples=99, radius=40)
+    blurred = np.asarray(jaxblur.layered(frame, PARAMETERS, settings=settings))[8, :, 0]
+    shifts = np.linspace(-8, 8, 3201)
+    x = np.arange(64)[:, None]
+    covered = np.mean((x - shifts > 25.5) & (x - shifts < 37.5), axis=1)
+    # At the center of the block the wall shows for a quarter of the exposure.
+    assert abs(covered[32] - 0.75) < 0.05
+    np.testing.assert_allclose(blurred, covered, atol=0.06)
+    assert blurred.min() >= 0 and blurred.max() <= 1
+
+
+def test_blur_may_be_longer_than_any_tile():
+    frame = block_over_wall(speed=22.0, width=5)
+    settings = jaxblur.Settings(samples=99, radius=40)
+    blurred = np.asarray(jaxblur.layered(frame, PARAMETERS, settings=settings))[8, :, 0]
+    np.testing.assert_allclose(blurred[10:47], 5 / 44, atol=0.05)
+    np.testing.assert_array_equal(blurred[:4], 0)
+
+
+def test_premultiplied_alpha_stays_premultiplied():
+    frame = block_over_wall()
+    alpha = np.asarray(frame.color)[..., :1]
+    color = jnp.asarray(np.concatenate([alpha * [0.2, 0.9, 0.4], alpha], axis=-1), jnp.float32)
+    frame = jaxblur.Frame(color, frame.depth, frame.velocity)
+    blurred = np.asarray(jaxblur.layered(frame, PARAMETERS))
+    np.testing.assert_allclose(blurred[..., :3], blurred[..., 3:] * [0.2, 0.9, 0.4], atol=1e-6)
+
+
+def test_what_turns_is_blurred_along_its_arc():
+    frame = jaxblur.read_frame(CAR)
+    truth = exr.read_image(CAR.with_name(CAR.name.replace("frame", "truth")))
+    straight = jaxblur.Frame(frame.color, frame.depth, frame.velocity)
+    scores = [
+        metrics.compare(jaxblur.layered(f, PARAMETERS), truth).psnr for f in (frame, straight)
+    ]
+    assert scores[0] > scores[1] + 2
+
+
+@pytest.mark.parametrize(("coverage", "expected"), [(0.5, 0.0), (1.0, 4.0)])
+def test_a_thin_pole_at_rest_is_freed_of_the_background_that_pans(coverage, expected):
+    motion = np.zeros((9, 9, 2), np.float32)
+    motion[..., 0] = 10
+    motion[:, 4, 0] = 4  # the pole covers 60 percent of its pixels
+    depth = np.full((9, 9), np.log(50), np.float32)
+    depth[:, 4] = np.log(5)
+    x, y = purest_motion(
+        jnp.asarray(motion), jnp.asarray(depth), jnp.float32(20), jnp.float32(coverage), "auto"
+    )
+    np.testing.assert_allclose(x[1:-1, 4], expected, atol=1e-5)
+    np.testing.assert_array_equal(y, 0)
+    np.testing.assert_array_equal(x[:, [0, 1, 2, 6, 7, 8]], 10)
+
+
+def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
+    motion = np.zeros((8, 8, 2), np.float32)
+    motion[:, :4, 1] = 6
+    motion[:, 3, 1] = 3.5
+    motion[:, 4, 1] = 1.5
+    depth = np.where(np.arange(8) < 4, 0.7, 2.2) * np.ones((8, 1))
+    _, y = purest_motion(
+        jnp.asarray(motion),
+        jnp.asarray(depth, jnp.float32),
+        jnp.float32(20),
+        jnp.float32(0.5),
+        "auto",
+    )
+    np.testing.assert_array_equal(y, np.where(np.arange(8) < 4, 6, 0) * np.ones((8, 1)))
+
+
+def reached(velocity, at=(20, 20), size=8):
+    x, y = np.zeros((2, 80, 80), np.float32)
+    x[at], y[at] = velocity
+    planes = (jnp.asarray(plane) for plane in (x, y, np.hypot(x, y), np.zeros_like(x)))
+    first, second = np.asarray(reaching_pixels(*planes, size))
+    assert (second == -1).all(), "there is one motion only"
+    assert set(first[first >= 0].tolist()) == {at[0] * 80 + at[1]}
+    return {(int(row), int(column)) for row, column in np.argwhere(first >= 0)}
+
+
+def test_a_line_reaches_the_tiles_that_it_crosses_and_no_others():
+    assert {(row, column) for row, column in reached((40.0, 0.0)) if column > 8} == set()
+    assert {column for _, column in reached((40.0, 0.0))} == set(range(9))
+    assert {row for row, _ in reached((40.0, 0.0))} <= {2, 3}
+    diagonal = reached((30.0, 30.0))
+    assert (5, 5) in diagonal and (5, 2) not in diagonal and (2, 5) not in diagonal
+
+
+def test_the_second_motion_is_the_one_most_unlike_the_first():
+    x, y = np.zeros((2, 8, 40), np.float32)
+    x[4, 4], x[4, 20], y[4, 36] = 30, 28, 9
+    y[4, 20] = 1
+    x[4, 36] = 14
+    planes = [jnp.asarray(plane) for plane in (x, y, np.hypot(x, y), np.zeros_like(x))]
+    first, second = np.asarray(reaching_pixels(*planes, 8))[:, 0, 2]
+    assert first == 4 * 40 + 4 and second == 4 * 40 + 36
+
+
+def test_fine_tiles_divide_the_radius_where_a_divisor_is_near():
+    assert [fine_tile(r) for r in (1, 6, 8, 20, 40, 37, 160)] == [1, 6, 8, 10, 8, 8, 8]
+
+
+def test_fewer_samples_than_guesses_are_refused():
+    with pytest.raises(ValueError, match="`samples` must be at least 3, got 2"):
+        jaxblur.layered(random_frame((4, 4)), PARAMETERS, settings=jaxblur.Settings(samples=2))
