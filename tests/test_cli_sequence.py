@@ -401,9 +401,9 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
 
 
 def dask_workers(psutil, process):
-    """Those children of a process that Dask spawned."""
+    """Those children of a process that Dask spawned; what they start looks alike for a moment."""
     found = []
-    for child in psutil.Process(process).children(recursive=True):
+    for child in psutil.Process(process).children():
         # A compiler may have come and gone.
         with contextlib.suppress(psutil.NoSuchProcess):
             if "spawn_main" in " ".join(child.cmdline()):

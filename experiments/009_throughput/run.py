@@ -28,6 +28,8 @@ HERE = Path(__file__).parent
 SHUTTER = 0.5
 DISTINCT = 3
 """Frames that are rendered; the others are copies under other numbers."""
+FILTER = ("--filter", "guertin2014")
+MEMORY_COUNTS = (10, 60)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +134,7 @@ def measure_command(
         The figure, start included; the note tells the part that is start and compilation.
     """
     with tempfile.TemporaryDirectory(dir=pattern.parent) as output:
-        command = [sys.executable, "-m", "jaxblur", "blur", str(pattern), "--json", "-q"]
+        command = [sys.executable, "-m", "jaxblur", "blur", str(pattern), "--json", "-q", *FILTER]
         command += ["-o", f"{output}/out.####.exr", "--frames", f"1-{count}", *options]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         started = time.perf_counter()
@@ -150,16 +152,18 @@ def measure_command(
     return Row(what, wall / count, cpu / count, note)
 
 
-def measure_memory(pattern: Path, counts: Sequence[int], cache: Path) -> list[Row]:
+def measure_memory(folder: Path, size: tuple[int, int], cache: Path) -> list[Row]:
     """The largest resident memory of runs of several lengths, each in a process of its own."""
-    rows = []
-    for count in counts:
+    folder.mkdir()
+    rows, pattern = [], make_frames(folder, max(MEMORY_COUNTS), size)
+    for count in MEMORY_COUNTS:
+        # The high water mark of `resource` would be that of the parent, which was larger.
         code = (
-            "import resource, sys; from jaxblur.cli import main; main(sys.argv[1:]);"
-            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+            "import re, sys; from jaxblur.cli import main; main(sys.argv[1:]);"
+            "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
         )
         with tempfile.TemporaryDirectory(dir=pattern.parent) as output:
-            command = [sys.executable, "-c", code, "blur", str(pattern), "-q"]
+            command = [sys.executable, "-c", code, "blur", str(pattern), "-q", *FILTER]
             command += ["-o", f"{output}/out.####.exr", "--frames", f"1-{count}"]
             environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
             started = time.perf_counter()
@@ -168,7 +172,8 @@ def measure_memory(pattern: Path, counts: Sequence[int], cache: Path) -> list[Ro
             ).stdout
             wall = time.perf_counter() - started
         peak = int(text.split()[-1]) / 1024
-        rows.append(Row(f"memory, {count} frames", wall / count, np.nan, f"{peak:.0f} MiB at most"))
+        what = f"memory, {count} frames of {size[1]}x{size[0]}"
+        rows.append(Row(what, wall / count, np.nan, f"{peak:.0f} MiB at most"))
     return rows
 
 
@@ -241,7 +246,7 @@ def main() -> None:
                     )
                 ]
             )
-        steps.append(lambda: measure_memory(pattern, (count // 3, count), cache))
+        steps.append(lambda: measure_memory(folder / "small", (size[0] // 3, size[1] // 3), cache))
         for step in steps:
             for row in step():
                 rows.append(row)
