@@ -87,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
         (_path(arguments, kind, frame) for frame in arguments.frames for kind in kinds),
         arguments.overwrite,
     )
+    height, width = arguments.size
+    LOG.info("%s at %dx%d; the first frame compiles the scene", arguments.name, width, height)
     start_jax(not arguments.no_compile_cache)
     scene = make_scene(arguments.name)
     arguments.output.mkdir(parents=True, exist_ok=True)
