@@ -83,7 +83,7 @@ def reaching_pixels(
     pixel = winner.reshape(-1)
     rows, columns = winner.shape
     farthest = _tile_highest(log_depth, size)
-    lines = _Lines(pixel, (x, y, log_depth), (rows, columns), size)
+    lines = _Lines(pixel, (x, y, speed, log_depth), (rows, columns), size)
     in_front = functools.partial(lines.in_front, farthest)
     first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
     second = lines.highest(
@@ -108,18 +108,19 @@ class _Lines:
     def __init__(
         self,
         pixel: Int[Array, " tiles"],
-        planes: tuple[jax.Array, jax.Array, jax.Array],
+        planes: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
         grid: tuple[int, int],
         size: int,
     ) -> None:
         self._rows, self._columns = grid
         self._size, self._count = size, len(pixel)
         width = planes[0].shape[1]
-        self._x, self._y, self._depth = (plane.reshape(-1)[pixel] for plane in planes)
+        # The speeds as they were clamped, equal to the bit: their ranks hang on no rounding.
+        self._x, self._y, self._speed, self._depth = (plane.reshape(-1)[pixel] for plane in planes)
         self._start_x, self._start_y = pixel % width + 0.5, pixel // width + 0.5
-        self._speed = safe_norm(self._x, self._y)
-        # Only as many steps as the longest line needs, whatever the radius.
-        self._steps = jnp.ceil(jnp.max(self._speed) / size).astype(jnp.int32)
+        # Only as many steps as the longest line needs, whatever the radius; rounding of a speed
+        # clamped to a whole number of tiles may not add one, which would move all of them.
+        self._steps = jnp.ceil(jnp.max(self._speed) / size - 1e-3).astype(jnp.int32)
         self._by_rank = jnp.argsort(-self._speed, stable=True)[::-1]
         ranks = jnp.arange(self._count, dtype=jnp.int32)
         self._rank = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
