@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     LOG.info("truth: the mean of %d images", TRUTH_SAMPLES)
     truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
     known = published.FILTERS[name]
-    settings = Settings(samples=known.samples, radius=known.radius)
+    settings = Settings(samples=known.samples, radius=known.radius, fetch=known.fetch)
     LOG.info("blur: %s", name)
     blurred = apply_filter(name, frame, {}, settings)
 

@@ -7,6 +7,8 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
+from jaxblur.settings import Fetch
+
 from .arguments import CommandError, did_you_mean
 
 
@@ -54,7 +56,7 @@ class Published:
     parameters: Mapping[str, Parameter]
     samples: int
     radius: int
-    fetch: str = "nearest"
+    fetch: Fetch = "nearest"
 
 
 def _positive(default: float, meaning: str) -> Parameter:

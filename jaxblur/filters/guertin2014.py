@@ -39,6 +39,8 @@ from ..weights import (
 )
 from .masking import append_mask, divide_by_mask
 
+PERPENDICULAR = 1e-6
+"""Cosine of an angle that counts as a right one."""
 REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
 
@@ -96,7 +98,10 @@ def _weight(distance, along_pixel, along_sample, sample, local):
 def _alignment(second, direction, sample, local):
     """How well the pixel (wA) and the sample (wB) move along the direction of the tap."""
     center, along = local["center"], local["along"]
-    along_pixel = jnp.where(second, 1, jnp.abs(center[0] * along[0] + center[1] * along[1]))
+    agreement = jnp.abs(center[0] * along[0] + center[1] * along[1])
+    # Perpendicular but for rounding, as at every still pixel: the kink's derivative is 0.
+    agreement = jnp.where(agreement > PERPENDICULAR, agreement, 0)
+    along_pixel = jnp.where(second, 1, agreement)
     along_sample = jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
     return along_pixel, along_sample * sample["inverse_speed"]
 

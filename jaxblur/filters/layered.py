@@ -151,7 +151,9 @@ def _motion(frame, parameters, settings, log_depth):
     motion = motion * (longest / jnp.maximum(speed, longest))[..., None]
     separation, coverage = parameters.surface_sharpness, parameters.thin_coverage
     x, y, *half = purest_motion(motion, log_depth, separation, coverage, settings.backend)
-    return x, y, safe_norm(x, y), half
+    speed = safe_norm(x, y)
+    # Clamped vectors tie in a tile maximum, whatever rounding made of them.
+    return x, y, jnp.where(speed > longest * (1 - 1e-5), longest, speed), half
 
 
 def _turn(size, local, tables):

@@ -65,7 +65,13 @@ def side_of_tiles(radius):
     return min(fitting, key=lambda s: (abs(s - 8), s)) if fitting else 8
 
 
-def lines_of(motion, size):
+def speed_of(vector, radius):
+    """Norm, in which vectors that were clamped to one length tie."""
+    speed = math.hypot(*vector)
+    return radius if speed > radius * (1 - 1e-5) else speed
+
+
+def lines_of(motion, size, radius):
     """The fastest pixel of every tile: (velocity, pixel), tiles in row-major order."""
     height, width = motion.shape[:2]
     lines = []
@@ -76,15 +82,15 @@ def lines_of(motion, size):
                 for row in range(top, min(top + size, height))
                 for column in range(left, min(left + size, width))
             ]
-            pixel = max(tile, key=lambda at: math.hypot(*motion[at][:2]))
+            pixel = max(tile, key=lambda at: speed_of(motion[at][:2], radius))
             lines.append((motion[pixel][:2], pixel))
     return lines
 
 
-def crossings(lines, grid, size):
+def crossings(lines, speeds, grid, size):
     """For every tile the set of lines whose width covers it at one of the steps."""
     rows, columns = grid
-    steps = math.ceil(max(math.hypot(*v) for v, _ in lines) / size)
+    steps = math.ceil(max(speeds) / size)
     crossed = [set() for _ in range(rows * columns)]
     half = size / 2 - 0.25
     for number, (v, (row, column)) in enumerate(lines):
@@ -99,15 +105,15 @@ def crossings(lines, grid, size):
     return crossed
 
 
-def tile_velocities(motion, depth, size):
+def tile_velocities(motion, depth, size, radius):
     """Two velocities, or zeros, for every tile in row-major order."""
     height, width = depth.shape
     grid = -(-height // size), -(-width // size)
-    lines = lines_of(motion, size)
-    speeds = [math.hypot(*v) for v, _ in lines]
+    lines = lines_of(motion, size, radius)
+    speeds = [speed_of(v, radius) for v, _ in lines]
     fastest = max(speeds)
     found = []
-    for number, crossed in enumerate(crossings(lines, grid, size)):
+    for number, crossed in enumerate(crossings(lines, speeds, grid, size)):
         top, left = (number // grid[1]) * size, (number % grid[1]) * size
         farthest = depth[top : top + size, left : left + size].max()
         crossed = [k for k in crossed if speeds[k] > 0.5]
@@ -222,7 +228,10 @@ def layered(color, depth, velocity, parameters, settings, tap, path=None):
     motion = motion_of(velocity.astype(np.float64), path, settings["radius"])
     motion = purest(motion, z, parameters["surface_sharpness"], parameters["thin_coverage"])
     size = side_of_tiles(settings["radius"])
-    tiles, columns = tile_velocities(motion, z, size), -(-depth.shape[1] // size)
+    tiles, columns = (
+        tile_velocities(motion, z, size, settings["radius"]),
+        -(-depth.shape[1] // size),
+    )
     out = color.copy()
     for row, column in np.ndindex(depth.shape):
         candidates = tiles[(row // size) * columns + column // size]
