@@ -26,8 +26,9 @@ def some_frames(count, **options):
     return [random_frame(SHAPE, seed=seed, **options) for seed in range(count)]
 
 
-@pytest.mark.parametrize("name", FILTERS)
-@pytest.mark.parametrize("chunk", [1, 2, 9])
+@pytest.mark.parametrize(
+    ("name", "chunk"), [("guertin2014", 1), ("guertin2014", 9), *((name, 2) for name in FILTERS)]
+)
 def test_it_equals_the_loop_with_any_chunk_and_remainder(name, chunk):
     frames, parameters = some_frames(3), PUBLISHED[name][0]
     one_by_one = [FILTERS[name](frame, parameters, settings=SETTINGS) for frame in frames]
@@ -45,8 +46,7 @@ def test_it_takes_functions_and_the_published_settings():
     assert_close(by_name[0], one)
 
 
-@pytest.mark.parametrize("chunk", [1, 2])
-def test_noise_is_shared_or_one_for_each_frame(chunk):
+def test_noise_is_shared_or_one_for_each_frame():
     frame, noises = random_frame(SHAPE), [random_noise(SHAPE, seed=seed) for seed in range(3)]
     frames = stack([frame] * 3)
 
@@ -63,13 +63,12 @@ def test_noise_is_shared_or_one_for_each_frame(chunk):
     assert_close(blur(noises[0]), stack([alone(noises[0])] * 3))
 
 
-@pytest.mark.parametrize("chunk", [1, 2])
-def test_derivatives_are_those_of_the_loop(chunk):
+def test_derivatives_are_those_of_the_loop():
     frames, settings = some_frames(3), jaxblur.Settings(samples=2, radius=6)
     batch = stack(frames)
 
     def of_batch(parameters):
-        options = {"settings": settings, "chunk": chunk}
+        options = {"settings": settings, "chunk": 2}
         return jnp.sum(jaxblur.blur_batch("guertin2014", batch, parameters, **options) ** 2)
 
     def of_frame(parameters, frame):
