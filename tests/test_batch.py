@@ -51,9 +51,7 @@ def test_noise_is_shared_or_one_for_each_frame():
     frames = stack([frame] * 3)
 
     def blur(noise):
-        return jaxblur.blur_batch(
-            "guertin2014", frames, settings=SETTINGS, noise=noise, chunk=chunk
-        )
+        return jaxblur.blur_batch("guertin2014", frames, settings=SETTINGS, noise=noise, chunk=2)
 
     def alone(noise):
         parameters = jaxblur.GuertinParameters()
