@@ -96,11 +96,11 @@ def read_shot(truth: Path, shutter: float) -> Shot:
 
 
 def methods() -> dict[str, Blur]:
-    """Every filter at its published parameters, and the older one with the newer one's taps."""
+    """Every filter at its defaults, and the oldest one with the taps of the newer ones."""
     runs = {name: (name, *PUBLISHED[name]) for name in ("pixel_velocity", "mcguire2012")}
     parameters, _ = PUBLISHED["mcguire2012"]
     runs["mcguire2012, 35 taps"] = ("mcguire2012", parameters, jaxblur.Settings())
-    runs["guertin2014"] = ("guertin2014", *PUBLISHED["guertin2014"])
+    runs |= {name: (name, *PUBLISHED[name]) for name in ("guertin2014", "layered")}
     return {label: _blur(*run) for label, run in runs.items()}
 
 
