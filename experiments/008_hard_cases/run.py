@@ -3,15 +3,16 @@
     python experiments/008_hard_cases/run.py -o OUT [--quick]
 
 Every filter of `jaxblur.FILTERS` on every case of cases.py, in float32 with float64 as the
-reference: hard_cases.csv and .md. What the transformations of jax change: transformations.csv
-and .md. What the door refuses is checked and printed. Seeds are fixed.
+reference: hard_cases.csv and .md; the worst of all filters: summary.csv and .md. What the
+transformations of jax change: transformations.csv and .md. What the door refuses is checked and
+printed. Seeds are fixed.
 """
 
 import argparse
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ COLUMNS = (
     "at a jump",
     "invariants broken",
 )
+SUMMARY_COLUMNS = ("case", "filters", *COLUMNS[3:])
 ODD = "must be odd"
 
 
@@ -76,6 +78,27 @@ def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
     )
 
 
+def summary(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    """One row for each case: the worst of all filters that took it."""
+    by_case: dict[str, list[Sequence[str]]] = {}
+    for cells in rows:
+        if cells[3] in ("yes", "NO"):
+            by_case.setdefault(cells[2], []).append(cells)
+    found = []
+    for case, taken in by_case.items():
+        columns = list(zip(*taken, strict=True))
+        finite = ("NO" if "NO" in column else "yes" for column in columns[3:5])
+        worst = (max(column, key=_number) for column in columns[5:11])
+        broken = sorted({name for name in columns[11] if name != "none"})
+        count = str(len(set(columns[0])))
+        found.append((case, count, *finite, *worst, ", ".join(broken) or "none"))
+    return found
+
+
+def _number(cell: str) -> float:
+    return float(cell.removesuffix(" %"))
+
+
 def check_door() -> list[str]:
     """Frames that got past the door though they must not."""
     passed = []
@@ -93,7 +116,9 @@ def rows(quick: bool) -> Iterator[tuple[Any, ...]]:
             for case in cases.all_cases()[:: 3 if quick else 1]:
                 # Each size compiles anew.
                 if case.group != "shape" or not (quick or fetch == "nearest"):
-                    yield row(name, fetch, case)
+                    measured = row(name, fetch, case)
+                    print(*measured, sep="  ", flush=True)
+                    yield measured
         jax.clear_caches()
 
 
@@ -108,6 +133,7 @@ def main() -> None:
     start, used = time.perf_counter(), time.process_time()
     measured = list(rows(options.quick))
     write_table(options.output, "hard_cases", COLUMNS, measured)
+    write_table(options.output, "summary", SUMMARY_COLUMNS, summary(measured))
     names = list(FILTERS)[: 1 if options.quick else None]
     changes = transformations.rows(names, large=options.large)
     write_table(options.output, "transformations", transformations.COLUMNS, changes)

@@ -1,0 +1,119 @@
+"""Every filter on the hard cases of experiments/008_hard_cases: finite, precise, invariant."""
+
+import importlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur.filters import FILTERS
+
+cases = importlib.import_module("experiments.008_hard_cases.cases")
+measuring = importlib.import_module("experiments.008_hard_cases.measure")
+transformations = importlib.import_module("experiments.008_hard_cases.transformations")
+experiment = importlib.import_module("experiments.008_hard_cases.run")
+encoding = importlib.import_module("experiments.008_hard_cases.encoding")
+
+# As the invariants are checked, so that they share the compilation.
+SETTINGS = jaxblur.Settings(
+    samples=cases.SAMPLES,
+    radius=cases.RADIUS,
+    fetch="bilinear",
+    tile_choice="own",
+    noise="none",
+)
+# Those of one size without a mask, likewise; the experiment measures the others too.
+CASES = [case for case in cases.all_cases() if case.group != "shape" and case.nonfinite == "error"]
+PROMISED_ERROR, PROMISED_FLIPS = 1e-5, 0.01
+# In a symmetric field lines run exactly through the corners of tiles, and rounding decides.
+MORE_FLIPS = {("layered", "motion: swirl"): 0.1}
+
+
+def reference(setup, frame):
+    with jax.enable_x64(True):
+        return np.asarray(measuring._jitted(setup, measuring.as_inputs(setup, frame, "float64")))
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_values_derivatives_precision_and_invariants(name):
+    setup = measuring.Setup(name, SETTINGS)
+    problems = {}
+    for case in CASES:
+        frame, _ = jaxblur.finite_frame(case.frame, case.nonfinite)
+        inputs = measuring.as_inputs(setup, frame, "float32")
+        moves = measuring.directions(inputs)
+        found = measuring.derivatives(setup, inputs, moves, jnp.ones_like(inputs["color"]))
+        broken = measuring.broken_invariants(setup, frame)
+        if not all(jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(found)):
+            broken.append("finite")
+        error = np.abs(np.asarray(found[0]) - reference(setup, frame))
+        error /= np.abs(np.asarray(inputs["color"])).max()
+        flipped = error > measuring.FLIPPED
+        if np.max(error, where=~flipped, initial=0) > PROMISED_ERROR:
+            broken.append("precision")
+        if flipped.mean() > MORE_FLIPS.get((name, case.label), PROMISED_FLIPS):
+            broken.append("flips")
+        if broken:
+            problems[case.label] = broken
+    assert problems == {}
+
+
+def test_the_door_refuses_what_the_filters_must_not_see():
+    assert experiment.check_door() == []
+    assert len(list(cases.refused_frames())) == 10
+
+
+def test_the_measures_see_what_is_broken():
+    """A filter that divides by the speed, loses precision and sees the sign of the motion."""
+
+    def broken_filter(frame, parameters, *, settings, noise=None):
+        speed = jnp.sqrt(jnp.sum(frame.velocity**2, axis=-1, keepdims=True))
+        rounded = frame.color.astype(jnp.bfloat16).astype(frame.color.dtype)
+        color = frame.color if frame.color.dtype == jnp.float64 else rounded
+        return color * (1 + 0.1 * frame.velocity[..., :1] / speed)
+
+    setup = measuring.Setup("pixel_velocity", SETTINGS)
+    by_name = {case.name: case for case in CASES}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(measuring.FILTERS, "pixel_velocity", broken_filter)
+        still = measuring.measure(setup, by_name["zero"].frame)
+        swirl = measuring.measure(setup, by_name["half-float buffers"].frame)
+        broken = measuring.broken_invariants(setup, by_name["half-float buffers"].frame)
+    assert not still.finite_value and not still.finite_gradient
+    assert swirl.finite_value and swirl.flipped > 0.5
+    assert {"-V", "constant", "4 C - 1"} <= set(broken)
+    jax.clear_caches()
+
+
+def test_finite_differences_tell_a_wrong_derivative():
+    @jax.custom_jvp
+    def wrong(color):
+        return color**2
+
+    wrong.defjvp(lambda primals, tangents: (primals[0] ** 2, 1.9 * primals[0] * tangents[0]))
+    setup = measuring.Setup("pixel_velocity", SETTINGS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(
+            measuring.FILTERS, "pixel_velocity", lambda frame, *_, **__: wrong(frame.color)
+        )
+        numbers = measuring.measure(setup, cases.plain_frame((6, 7)))
+    assert numbers.wrong > 0.5 and numbers.jumps == 0
+    jax.clear_caches()
+
+
+def test_transformations_change_nothing_but_rounding():
+    rows = transformations.rows(["pixel_velocity"])
+    assert [row[1] for row in rows] == list(transformations.CHECKS)
+    for _, what, difference, equal in rows:
+        assert float(difference) < 1e-5, what
+        if what in ("the same frame twice", "gradient twice") or what.startswith("half"):
+            assert equal == "yes", what
+
+
+def test_encodings_differ_where_vectors_are_longer_than_the_radius():
+    velocity = jnp.asarray([[[30.0, 3.0], [1.0, 2.0]]])
+    for encode, worst in ((encoding.radial, 1.0), (encoding.apart, 14.0)):
+        angle = encoding.worst_angle(velocity, encode(velocity, 10))
+        assert (angle < 2) if worst < 2 else (angle > 10)
