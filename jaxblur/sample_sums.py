@@ -30,6 +30,23 @@ Terms = tuple[jax.Array, ...]
 Sample = Callable[[jax.Array, Any, Any], Terms]
 
 
+class _Plan(NamedTuple):
+    """What is fixed when a sum is traced."""
+
+    sample: Sample
+    count: int
+    backend: Backend
+    structure: Any
+
+    def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
+        """The terms of the samples of these numbers."""
+        return self.sample(index, *self.operands(leaves))
+
+    def operands(self, leaves: Sequence[Any]) -> tuple[Any, Any]:
+        """Leaves as (local, tables)."""
+        return jax.tree.unflatten(self.structure, leaves)
+
+
 def gather_samples(
     stages: Stages, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
 ) -> Terms:
@@ -62,7 +79,7 @@ def gather_samples(
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _gather(plan: "_Plan", stages: Stages, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+def _gather(plan: _Plan, stages: Stages, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The results, without derivatives."""
     by_stages = functools.partial(_gather_by_stages, plan, stages)
     native = native_gather(stages, plan.count, _size(moving), plan.operands(leaves), plan.backend)
@@ -71,9 +88,7 @@ def _gather(plan: "_Plan", stages: Stages, moving: jax.Array, leaves: list[jax.A
     return lax.platform_dependent(moving, *leaves, cpu=native, default=by_stages)
 
 
-def _gather_by_stages(
-    plan: "_Plan", stages: Stages, moving: jax.Array, *leaves: jax.Array
-) -> Terms:
+def _gather_by_stages(plan: _Plan, stages: Stages, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """One stage after the other."""
     local, tables = plan.operands(leaves)
     prepared = stages.prepare(local, tables)
@@ -86,11 +101,73 @@ def _gather_jvp(plan, stages, primals, tangents):
     """Derivatives are those of the stages; only what has a tangent is differentiated."""
     (moving, leaves), tangents = primals, tangents[1]
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    directions = [tangents[k] for k in active]
+    if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
+        return _scalar_derivatives(plan, stages, moving, leaves, active, directions)
 
     def results(values):
         return _gather_by_stages(plan, stages, moving, *_replaced(leaves, active, values))
 
-    return jax.jvp(results, ([leaves[k] for k in active],), ([tangents[k] for k in active],))
+    return jax.jvp(results, ([leaves[k] for k in active],), (directions,))
+
+
+def _carries_derivatives(plan: _Plan, stages: Stages, leaves: Sequence[jax.Array]) -> bool:
+    """Whether all that is prepared is real, so that it has a derivative."""
+    prepared = jax.eval_shape(stages.prepare, *plan.operands(leaves))
+    return all(jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in jax.tree.leaves(prepared))
+
+
+def _scalar_derivatives(plan, stages, moving, leaves, active, directions):
+    """The results and their change with some scalars, from one kernel: derivatives are planes."""
+    augmented = _with_scalar_derivatives(plan, stages, active)
+    planes = _gather(plan, augmented, moving, leaves)
+    size = len(planes) // (1 + len(active))
+    change = [jnp.zeros_like(plane) for plane in planes[:size]]
+    for block, direction in enumerate(directions, start=1):
+        for k in range(size):
+            change[k] = change[k] + planes[block * size + k] * direction
+    return planes[:size], tuple(change)
+
+
+def _with_scalar_derivatives(plan: _Plan, stages: Stages, active: Sequence[int]) -> Stages:
+    """Stages that carry the derivative with respect to each active scalar along."""
+
+    def prepare(local, tables):
+        leaves = jax.tree.leaves((local, tables))
+
+        def of_scalar(position, value):
+            return stages.prepare(*plan.operands(_replaced(leaves, [position], [value])))
+
+        changes = [
+            jax.jvp(functools.partial(of_scalar, k), (leaves[k],), (jnp.ones_like(leaves[k]),))[1]
+            for k in active
+        ]
+        return stages.prepare(local, tables), changes
+
+    def sample(index, prepared, tables):
+        value, changes = prepared
+
+        def terms(value):
+            return stages.sample(index, value, tables)
+
+        derivatives = [jax.jvp(terms, (value,), (change,))[1] for change in changes]
+        return sum(derivatives, start=tuple(terms(value)))
+
+    def finish(sums, prepared, tables):
+        value, changes = prepared
+        size = len(sums) // (1 + len(changes))
+        blocks = [sums[k : k + size] for k in range(0, len(sums), size)]
+
+        def results(sums, value):
+            return stages.finish(sums, value, tables)
+
+        derivatives = [
+            jax.jvp(results, (blocks[0], value), (block, change))[1]
+            for block, change in zip(blocks[1:], changes, strict=True)
+        ]
+        return sum(derivatives, start=tuple(results(blocks[0], value)))
+
+    return Stages(prepare, sample, finish)
 
 
 _gather.defjvp(_gather_jvp, symbolic_zeros=True)
@@ -121,23 +198,6 @@ def sum_samples(
     leaves, structure = jax.tree.flatten((local, tables))
     plan = _Plan(sample, count, backend, structure)
     return _sum(plan, moving, [jnp.asarray(leaf) for leaf in leaves])
-
-
-class _Plan(NamedTuple):
-    """What is fixed when a sum is traced."""
-
-    sample: Sample
-    count: int
-    backend: Backend
-    structure: Any
-
-    def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
-        """The terms of the samples of these numbers."""
-        return self.sample(index, *self.operands(leaves))
-
-    def operands(self, leaves: Sequence[Any]) -> tuple[Any, Any]:
-        """Leaves as (local, tables)."""
-        return jax.tree.unflatten(self.structure, leaves)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

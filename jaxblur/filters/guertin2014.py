@@ -95,15 +95,20 @@ def _weight(distance, along_pixel, along_sample, sample, local):
     )
 
 
+def _cosine(first, second, scale=1.0):
+    """Cosine of the angle between two directions, without sign.
+
+    Where they are perpendicular but for rounding, as the second direction of a still pixel is to
+    all that moves with the dominant velocity, it is 0 and so is its derivative.
+    """
+    cosine = jnp.abs(first[0] * second[0] + first[1] * second[1]) * scale
+    return jnp.where(cosine > PERPENDICULAR, cosine, 0)
+
+
 def _alignment(second, direction, sample, local):
     """How well the pixel (wA) and the sample (wB) move along the direction of the tap."""
-    center, along = local["center"], local["along"]
-    agreement = jnp.abs(center[0] * along[0] + center[1] * along[1])
-    # Perpendicular but for rounding, as at every still pixel: the kink's derivative is 0.
-    agreement = jnp.where(agreement > PERPENDICULAR, agreement, 0)
-    along_pixel = jnp.where(second, 1, agreement)
-    along_sample = jnp.abs(sample["x"] * direction[0] + sample["y"] * direction[1])
-    return along_pixel, along_sample * sample["inverse_speed"]
+    along_pixel = jnp.where(second, 1, _cosine(local["center"], local["along"]))
+    return along_pixel, _cosine((sample["x"], sample["y"]), direction, sample["inverse_speed"])
 
 
 def _sample(size, settings, index, local, tables):

@@ -10,6 +10,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+import threading
 
 import jax
 
@@ -22,6 +23,8 @@ FLAGS = (
 )
 # Tried in this order: compilers disagree about the name of "for this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
+
+_ONE_AT_A_TIME = threading.Lock()
 
 
 class BuildFailed(Exception):
@@ -87,7 +90,6 @@ def _compile(source: str, library: pathlib.Path) -> None:
     raise BuildFailed(f"the C++ compiler refused a kernel:\n{words}")
 
 
-@functools.cache
 def register(source: str) -> str:
     """Compile a kernel unless a former run has, load it, and register it with XLA.
 
@@ -100,6 +102,13 @@ def register(source: str) -> str:
     Raises:
         BuildFailed: the compiler refused it, or what it made cannot be loaded.
     """
+    with _ONE_AT_A_TIME:
+        return _register(source)
+
+
+@functools.cache
+def _register(source: str) -> str:
+    """Once for each program of this process."""
     key = hashlib.sha256("\n".join([_machine(), *FLAGS, source]).encode()).hexdigest()[:24]
     name = f"jaxblur_sum_{key}"
     library = _folder() / f"{name}.so"

@@ -79,10 +79,14 @@ class _Program:
     def sums(self, terms: Sequence[Value]) -> list[Value]:
         """Sum terms over the samples."""
         tap = self.writer.statements[Level.TAP]
-        tap.extend(f"sums[{k}] += {term.code};" for k, term in enumerate(terms))
         self._numbers["SUMS"] = len(terms)
         self.writer.finishing = True
-        return [Value(f"sums[{k}]", "float32", Level.PIXEL) for k in range(len(terms))]
+        sums = []
+        for k, term in enumerate(terms):
+            known = term.number is not None and not np.any(term.number)
+            sums.append(term if known else Value(f"sums[{k}]", "float32", Level.PIXEL))
+            tap.extend([] if known else [f"sums[{k}] += {term.code};"])
+        return sums
 
     def kernel(self, results: Sequence[Value], tables: Sequence[int] = ()) -> str:
         """The program, with planes as results and tables of these sizes that taps add to."""

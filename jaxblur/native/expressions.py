@@ -139,6 +139,11 @@ def _negation(_, a: Value) -> str:
     return f"(!{a.code})" if a.dtype == "bool" and not a.wide else f"(~{a.code})"
 
 
+def _round(parameters: Any, a: Value) -> str:
+    to_even = parameters["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
+    return f"{'rintf' if to_even else 'roundf'}({a.code})"
+
+
 def _same(_, value: Value, *_more: Value) -> str:
     return value.code
 
@@ -176,6 +181,7 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "pow": _function("powf"),
     "rem": _remainder,
     "reshape": _same,
+    "round": _round,
     "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
     "select_n": _select,
     "sign": _function("sign_float"),
@@ -235,6 +241,26 @@ def _merged(first: Value, second: Value) -> Value:
     return dataclasses.replace(first, additions=first.additions + second.additions)
 
 
+def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
+    """The result where it follows from a zero that is written out, None elsewhere.
+
+    Such zeros are those of derivatives that vanish; a product with one is 0 even for NaN, as it
+    is for the symbolic zeros of JAX.
+    """
+    zeros = [value.number is not None and not np.any(value.number) for value in inputs]
+    if inputs[0].dtype != "float32" and name != "select_n":
+        return None
+    if name in ("mul", "div") and zeros[0]:
+        return inputs[0]
+    if name == "mul" and zeros[1]:
+        return inputs[1]
+    if name in ("add", "add_any") and any(zeros):
+        return inputs[1] if zeros[0] else inputs[0]
+    if name == "select_n" and all(zeros[1:]) and inputs[1].dtype == "float32":
+        return inputs[1]
+    return inputs[0] if name == "neg" and zeros[0] else None
+
+
 class Writer:
     """Collects the statements of each level while walking through jaxprs.
 
@@ -288,7 +314,9 @@ class Writer:
         values.update(zip(jaxpr.invars, inputs, strict=True))
 
         def read(atom: Any) -> Value:
-            return _literal(atom.val) if isinstance(atom, core.Literal) else values[atom]
+            if isinstance(atom, core.Literal):
+                return _literal(np.asarray(atom.val, getattr(atom.aval, "dtype", None)))
+            return values[atom]
 
         for equation in jaxpr.eqns:
             results = self._equation(equation, [read(atom) for atom in equation.invars])
@@ -323,6 +351,8 @@ class Writer:
             raise Unsupported(f"{name} of a whole table")
         if name == "div" and inputs[0].dtype != "float32":
             raise Unsupported("div of integers")
+        if (known := _without_zeros(name, inputs)) is not None:
+            return known
         level = Level(functools.reduce(operator.or_, (value.level for value in inputs), 0))
         code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
         if code == inputs[0].code:

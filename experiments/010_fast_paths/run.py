@@ -1,0 +1,209 @@
+"""How quick guertin2014 is, against what it should be compared with, in one run.
+
+    python -m experiments.010_fast_paths.run -o OUT [--quick]
+
+Frames of 1280x720 in which every tile moves, 30 % of them do, or none; N = 35 and 15; native code
+and XLA; both fetches; one direction and two; gradients; numba where it is installed. Everything is
+timed in turn. Then two fresh processes, the second of which finds its code compiled. Writes
+speed.csv and speed.md.
+"""
+
+import argparse
+import csv
+import dataclasses
+import functools
+import importlib
+import importlib.util
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import jaxblur
+from jaxblur.bench.frames import moving_frame
+from jaxblur.bench.timing import time_in_turn
+
+SIZE = (720, 1280)
+FREE = ("kappa", "gamma", "tau", "phi")
+COLUMNS = ("what", "ms", "CPU ms", "times the reference", "reference", "temporaries, MB")
+SETTINGS = jaxblur.Settings(samples=35, radius=40, noise="none", backend="native")
+REFERENCE = "native, N = 35"
+# Imports jax and jaxblur, then blurs one frame; prints the seconds of each.
+FRESH_PROCESS = """
+import sys, time
+start = time.perf_counter()
+import jax, jaxblur
+from jaxblur.cli.compute import start_jax
+from jaxblur.bench.frames import moving_frame
+start_jax(compile_cache=True)
+jax.block_until_ready(jax.numpy.ones(1))
+imported = time.perf_counter()
+frame = moving_frame(720, 1280)
+jaxblur.guertin2014(frame, jaxblur.GuertinParameters()).block_until_ready()
+print(imported - start, time.perf_counter() - imported)
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One thing that is timed.
+
+    Attributes:
+        name: what it is.
+        run: does it once and waits.
+        reference: name of the row that it is divided by.
+        temporaries: peak in MB, None if unknown.
+    """
+
+    name: str
+    run: Callable[[], Any]
+    reference: str
+    temporaries: float | None = None
+
+
+def compiled_row(name: str, function: Callable[..., Any], reference: str, *arguments: Any) -> Row:
+    """Compile a function of arrays."""
+    program = jax.jit(function).lower(*arguments).compile()
+    temporaries = program.memory_analysis().temp_size_in_bytes / 1e6
+    return Row(
+        name, lambda: jax.block_until_ready(program(*arguments)), reference, round(temporaries, 1)
+    )
+
+
+def filter_row(name: str, frame: jaxblur.Frame, reference: str, **changes: Any) -> Row:
+    """A run of the filter with some settings changed."""
+    settings = dataclasses.replace(SETTINGS, **changes)
+    blur = functools.partial(
+        jaxblur.guertin2014, parameters=jaxblur.GuertinParameters(), settings=settings
+    )
+    return compiled_row(name, lambda frame: blur(frame), reference, frame)
+
+
+def gradient_rows(frame: jaxblur.Frame, **changes: Any) -> list[Row]:
+    """Loss, gradient of four parameters, gradient of everything."""
+    settings = dataclasses.replace(SETTINGS, **changes)
+    parameters = jax.tree.map(jnp.float32, jaxblur.GuertinParameters())
+
+    def loss(frame, parameters):
+        blurred = jaxblur.guertin2014(frame, parameters, settings=settings)
+        return jnp.mean((blurred - 0.5) ** 2)
+
+    def of_free(free, frame, parameters):
+        return loss(frame, dataclasses.replace(parameters, **free))
+
+    free = {name: getattr(parameters, name) for name in FREE}
+    fetch = settings.fetch
+    reference = f"loss, {fetch}"
+    return [
+        compiled_row(reference, loss, reference, frame, parameters),
+        compiled_row(
+            *(f"value and gradient of four scalars, {fetch}", jax.value_and_grad(of_free)),
+            *(reference, free, frame, parameters),
+        ),
+        compiled_row(
+            *(f"value and gradient of every input, {fetch}", jax.value_and_grad(loss, (0, 1))),
+            *(reference, frame, parameters),
+        ),
+    ]
+
+
+def numba_rows(frame: jaxblur.Frame) -> list[Row]:
+    """The filter in numba, whole, where numba is installed."""
+    if importlib.util.find_spec("numba") is None:
+        return []
+    folder = "experiments.007_speed_vs_error"
+    common = importlib.import_module(f"{folder}.alternatives")
+    numba = importlib.import_module(f"{folder}.alternatives_numba")
+    rows = []
+    for samples in (35, 15):
+        settings = dataclasses.replace(SETTINGS, samples=samples)
+        common.check("numba", numba.guertin2014, frame, settings)
+        inputs = common.make_inputs(frame, settings)
+        run = functools.partial(numba.guertin2014, inputs)
+        rows.append(Row(f"numba, N = {samples}", run, f"numba, N = {samples}"))
+    return rows
+
+
+def make_rows(size: tuple[int, int]) -> list[Row]:
+    """Everything that is timed."""
+    dense, sparse, still = (moving_frame(*size, moving=share) for share in (1.0, 0.3, 0.0))
+    rows = numba_rows(dense)
+    numba = {35: "numba, N = 35", 15: "numba, N = 15"} if rows else {}
+    few = "native, N = 15"
+    rows += [
+        filter_row(REFERENCE, dense, numba.get(35, REFERENCE)),
+        filter_row(few, dense, numba.get(15, few), samples=15),
+        filter_row("XLA, N = 35", dense, REFERENCE, backend="xla"),
+        filter_row("XLA, N = 15", dense, few, backend="xla", samples=15),
+        filter_row("native, N = 35, bilinear", dense, REFERENCE, fetch="bilinear"),
+        filter_row("native, N = 15, bilinear", dense, few, fetch="bilinear", samples=15),
+        filter_row("native, N = 35, one direction", dense, REFERENCE, directions="one"),
+        filter_row("native, N = 35, 30 % of the tiles move", sparse, REFERENCE),
+        filter_row("native, N = 35, nothing moves", still, REFERENCE),
+    ]
+    return rows + gradient_rows(dense) + gradient_rows(dense, fetch="bilinear")
+
+
+def measure(rows: list[Row], repeats: int) -> list[tuple[str, ...]]:
+    """Time all rows in turn; the lines of the table. Ratios are those of processor time."""
+    times = time_in_turn({row.name: row.run for row in rows}, repeats)
+    lines = []
+    for row in rows:
+        own, reference = times[row.name], times[row.reference]
+        ratio = own.cpu_median / reference.cpu_median
+        milliseconds = (f"{1e3 * own.median:.0f}", f"{1e3 * own.cpu_median:.0f}")
+        temporaries = "" if row.temporaries is None else f"{row.temporaries:.0f}"
+        lines.append((row.name, *milliseconds, f"{ratio:.2f}", row.reference, temporaries))
+        print("  ".join(lines[-1]), flush=True)
+    return lines
+
+
+def fresh_processes() -> list[tuple[str, ...]]:
+    """Seconds of two fresh processes with one cache folder, empty at first."""
+    lines = []
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"XDG_CACHE_HOME": folder}
+        for name in ("first process", "second process"):
+            command = [sys.executable, "-c", FRESH_PROCESS]
+            done = subprocess.run(
+                command, env=environment, check=True, capture_output=True, text=True
+            )
+            imported, blurred = map(float, done.stdout.split())
+            ratio = f"{(imported + blurred) / imported:.2f}"
+            total = f"{1e3 * (imported + blurred):.0f}"
+            lines.append((f"{name}, until the first frame is blurred", total, "", ratio))
+            lines[-1] += (f"its imports, {1e3 * imported:.0f} ms", "")
+            print("  ".join(lines[-1]), flush=True)
+    return lines
+
+
+def write_tables(folder: pathlib.Path, lines: list[tuple[str, ...]]) -> None:
+    """Write the lines as CSV and as Markdown."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "speed.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([COLUMNS, *lines])
+    table = [COLUMNS, ("---",) * len(COLUMNS), *lines]
+    text = "".join(f"| {' | '.join(line)} |\n" for line in table)
+    (folder / "speed.md").write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Parse the command line, measure, write."""
+    parser = argparse.ArgumentParser(description="How quick guertin2014 is.")
+    parser.add_argument("-o", "--output", type=pathlib.Path, required=True, metavar="DIR")
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--quick", action="store_true", help="a quarter of the size, 3 repeats")
+    options = parser.parse_args()
+    size = (SIZE[0] // 2, SIZE[1] // 2) if options.quick else SIZE
+    lines = measure(make_rows(size), 3 if options.quick else options.repeats)
+    write_tables(options.output, lines + fresh_processes())
+
+
+if __name__ == "__main__":
+    main()
