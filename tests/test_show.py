@@ -147,7 +147,7 @@ def test_texel_weights_make_the_pixel(name):
 
 
 @pytest.mark.parametrize(
-    ("tile_choice", "split"), [("own", "even"), ("stochastic", "variance"), ("expected", "even")]
+    ("tile_choice", "split"), [("stochastic", "variance"), ("expected", "even")]
 )
 def test_taps_lie_on_all_texels_that_weigh(tile_choice, split):
     frame, noise = random_frame((20, 26), speed=8), random_noise((20, 26))
