@@ -24,6 +24,8 @@ BLENDER = {
 the notes of the reference frames give them, measured on another day and machine."""
 
 
+FEWEST = 5
+"""Rows that suffice to fit three exponents and a scale."""
 TIMES = {"ms": "wall", "cpu_ms": "processor"}
 
 
@@ -81,7 +83,11 @@ def _growth_table(rows: Sequence[Row]) -> str:
     heads = ("filter", "time", "pixels", "samples", "radius", "scatter", "rows")
     lines = []
     for method, (figure, label) in itertools.product(FILTERS, TIMES.items()):
-        law = bench.fit_power_law([row for row in rows if row["method"] == method], figure)
+        own = [row for row in rows if row["method"] == method]
+        if len(own) < FEWEST:
+            lines.append((method, label, "", "", "", "too few", str(len(own))))
+            continue
+        law = bench.fit_power_law(own, figure)
         cells = [
             f"{law.exponents[name]:.2f} ± {law.errors[name]:.2f}" if name in law.exponents else ""
             for name in ("pixels", "samples", "radius")

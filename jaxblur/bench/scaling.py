@@ -54,16 +54,16 @@ def fit_power_law(rows: Iterable[Row], figure: str = "ms") -> PowerLaw:
     logarithms = {
         name: np.log([factor(row) for row in measured]) for name, factor in FACTORS.items()
     }
-    varying = {name: v for name, v in logarithms.items() if np.ptp(v) > 0}
+    varying = {name: v for name, v in logarithms.items() if len(set(v.tolist())) > 1}
     scenes = sorted({row["scene"] for row in measured})
     own_scale = [[row["scene"] == scene for scene in scenes] for row in measured]
-    design = np.column_stack([*varying.values(), np.array(own_scale, float)])
-    freedom = len(measured) - design.shape[1]
+    freedom = len(measured) - len(varying) - len(scenes)
     if freedom < 1:
         raise ValueError(
-            f"`rows` must number at least {design.shape[1] + 1} to fit "
+            f"`rows` must number at least {len(measured) - freedom + 1} to fit "
             f"{', '.join(varying) or 'nothing'}, got {len(measured)}."
         )
+    design = np.column_stack([*varying.values(), np.array(own_scale, float)])
     target = np.log([getattr(row.figures, figure) for row in measured])
     solution, *_ = np.linalg.lstsq(design, target, rcond=None)
     variance = float(np.sum(np.square(target - design @ solution))) / freedom
