@@ -107,7 +107,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_bits(tmp_path):
 
     with pytest.raises(ValueError, match="is the state of another fit"):
         quick_fit(state=state, resume=True, key=jax.random.key(1))
-    with pytest.raises(ValueError, match="state of another fit: .* number of steps"):
+    with pytest.raises(ValueError, match=r"state of another fit: .* number of steps"):
         quick_fit(state=state, resume=True, steps=9)
     with pytest.raises(ValueError, match="is the state of another fit"):
         quick_fit([changed(color=2 * smooth_frame().color)], state=state, resume=True)
