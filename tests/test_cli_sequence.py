@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ def written(folder):
     return sorted(path.name for path in (folder / "out").iterdir())
 
 
-def all_names(frames=FRAMES):
+def all_names(frames: Iterable[int] = FRAMES):
     return [f"a.{frame}.exr" for frame in frames]
 
 

@@ -10,13 +10,16 @@ from typing import Any
 
 import OpenImageIO as oiio
 
-from .files import JaxblurIOError, PathLike, pending_message
+from .files import JaxblurIOError, PathLike, open_input, pending_message
 
 try:
     import fcntl
 except ImportError:
     # Windows: temporary files of killed processes stay.
     fcntl = None
+
+
+PNG_END = b"IEND\xaeB`\x82"
 
 
 @contextlib.contextmanager
@@ -115,6 +118,35 @@ def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any
         pending_message(output)
         raise
     check(path, output, output.close())
+    _check_end(path, temporary)
+
+
+def _check_end(path: PathLike, temporary: str) -> None:
+    """Look at what was written last: on a full disk closing may lose it and not say so."""
+    if temporary.lower().endswith(".png"):
+        with open(temporary, "rb") as file:
+            whole = file.read().endswith(PNG_END)
+    else:
+        whole = _last_row_is_there(temporary)
+    if not whole:
+        raise JaxblurIOError(path, "cannot be written: its end was lost; is the disk full?")
+
+
+def _last_row_is_there(temporary: str) -> bool:
+    with open_input(temporary) as source:
+        last = 0
+        while source.seek_subimage(last + 1, 0):
+            last += 1
+        source.seek_subimage(last, 0)
+        spec = source.spec()
+        if spec.deep:
+            found = source.read_native_deep_image(last, 0)
+        elif spec.tile_width:
+            found = source.read_image(last, 0, 0, spec.nchannels, "native")
+        else:
+            end = spec.y + spec.height
+            found = source.read_scanlines(last, 0, end - 1, end, spec.z, 0, 1, "native")
+    return found is not None
 
 
 def check(path: PathLike, output: Any, succeeded: bool) -> None:
