@@ -10,7 +10,7 @@ import logging
 import threading
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from typing import Any
 
 import jaxblur
@@ -32,7 +32,7 @@ LOCAL_OPTIONS: dict[str, Any] = {
 
 def run_cluster(
     jobs: Iterable[Job], stages: Sequence[Stage], scheduler: str, workers: int = 2
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     """Take jobs through stages on the workers of a Dask cluster, each job on one worker.
 
     Args:

@@ -5,7 +5,7 @@ import dataclasses
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -68,7 +68,9 @@ def run_stages(job: Job, stages: Sequence[Stage]) -> Outcome:
     return outcome
 
 
-def run_pipeline(jobs: Iterable[Job], stages: Sequence[Stage], spare: int = 2) -> Iterator[Outcome]:
+def run_pipeline(
+    jobs: Iterable[Job], stages: Sequence[Stage], spare: int = 2
+) -> Generator[Outcome, None, None]:
     """Take jobs through stages that overlap, each in threads of its own.
 
     At most as many jobs are under way as there are threads, and ``spare`` more that wait between
