@@ -353,7 +353,8 @@ def test_a_disk_that_takes_no_more(shot):
     assert outcome.returncode == 2 and "--overwrite" in outcome.stderr
     outcome = spawn(*command, "--no-compile-cache", "--frames", "1002-1005", code=LIMITED)
     assert outcome.returncode == 1, outcome.stderr
-    assert "a.1002.exr: cannot be written" in outcome.stderr
+    # Two threads write, so that any three of the four may be the first to fail.
+    assert len(re.findall(r"a\.100[2-5]\.exr: cannot be written", outcome.stderr)) >= 3
     assert "3 frames in a row cannot be written; stopping." in outcome.stderr
     assert written(path) == ["a.1001.exr"], "nothing half, nothing hidden"
     assert (path / "out/a.1001.exr").read_bytes() == before
