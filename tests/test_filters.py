@@ -99,14 +99,18 @@ def test_half_and_numpy_buffers_are_computed_in_float32():
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_jit_and_vmap_equal_the_plain_call(name):
+    # Steep steps in depth and velocity magnify rounding: 8e-6 is the most that was seen.
+    absolute = 2e-5 if name == "layered" else 0
     frames = [random_frame((9, 11), seed=seed) for seed in range(3)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *frames)
     batched = jax.vmap(lambda f: FILTERS[name](f, PARAMETERS[name], settings=SETTINGS))(stacked)
     for one, frame in zip(batched, frames, strict=True):
-        np.testing.assert_allclose(one, run(name, frame), rtol=1e-5)
+        np.testing.assert_allclose(one, run(name, frame), rtol=1e-5, atol=absolute)
     with jax.disable_jit():
         eager = run(name, frames[0], change(samples=3))
-    np.testing.assert_allclose(eager, run(name, frames[0], change(samples=3)), rtol=1e-5)
+    np.testing.assert_allclose(
+        eager, run(name, frames[0], change(samples=3)), rtol=1e-5, atol=absolute
+    )
 
 
 @pytest.mark.parametrize("name", FILTERS)
