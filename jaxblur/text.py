@@ -4,7 +4,7 @@ from typing import Any
 
 
 def printable(text: Any) -> str:
-    """Escape control characters, so that names from files cannot move the cursor or recolor.
+    r"""Escape control characters, so that names from files cannot move the cursor or recolor.
 
     Args:
         text: anything that has a text.
@@ -14,7 +14,7 @@ def printable(text: Any) -> str:
 
     Example:
         >>> printable("a" + chr(27) + "[31m")
-        'a\\\\x1b[31m'
+        'a\\x1b[31m'
     """
     return "".join(c if c.isprintable() else _escaped(c) for c in str(text))
 

@@ -38,7 +38,8 @@ properties = functools.partial(
 def frames(draw, shapes=SHAPES):
     """A frame of one of the shapes; hypothesis chooses motion and depth, a seed the color."""
     height, width = draw(st.sampled_from(shapes))
-    color = np.random.default_rng(draw(st.integers(0, 99))).random((height, width, 3), np.float32)
+    generator = np.random.default_rng(draw(st.integers(0, 99)))
+    color: Any = generator.random((height, width, 3), np.float32)
     depth = draw(arrays(np.float32, (height, width), elements=distances, fill=st.just(3.0)))
     velocity = draw(arrays(np.float32, (height, width, 2), elements=speeds, fill=speeds))
     return jaxblur.Frame(color, depth, velocity)

@@ -3,6 +3,7 @@
 import concurrent.futures
 import functools
 import logging
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import pytest
 import jaxblur
 from jaxblur import native, sample_sums, sampling
 from jaxblur.native import build, emit
+from jaxblur.settings import Backend
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
 
@@ -33,7 +35,8 @@ def runs(name, **options):
     """The filter by native code and by XLA, as functions of (frame, parameters)."""
     samples = 9 if name == "mcguire2012" else 8
     both = []
-    for backend in ("native", "xla"):
+    backends: tuple[Backend, Backend] = ("native", "xla")
+    for backend in backends:
         settings = jaxblur.Settings(samples=samples, radius=5, backend=backend, **options)
         both.append(functools.partial(jaxblur.FILTERS[name], settings=settings))
     return both
@@ -140,13 +143,13 @@ def test_nan_and_infinity_pass_through_as_with_xla():
     np.testing.assert_array_equal(np.isinf(ours), np.isinf(theirs))
 
 
-def sum_of(function, tables=None, backend="native", dtype=jnp.float32):
+def sum_of(function, tables=None, backend: Backend = "native", dtype: Any = jnp.float32):
     """Sum of a function of (index, plane, table) over 3 samples of a 5 x 19 image."""
     plane = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (5, 19, 1)), dtype)
     tables = {"t": plane.reshape(-1)} if tables is None else tables
 
     def sample(index, local, tables):
-        return (function(index, local["a"], tables["t"]),)
+        return (function(index, local["a"], tables["t"]) + jnp.zeros(index.shape, dtype),)
 
     moving = jnp.ones((5, 19), bool)
     return sample_sums.sum_samples(sample, 3, moving, {"a": plane}, tables, backend)[0]

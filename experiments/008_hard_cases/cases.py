@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,19 +39,22 @@ class Case(NamedTuple):
 def plain_frame(shape: tuple[int, int] = SHAPE, seed: int = 0) -> jaxblur.Frame:
     """Random color, depths from 1 to 10, speeds around 4 px: nothing hard."""
     generator = np.random.default_rng(seed)
-    arrays = (
+    arrays: Any = (
         generator.random((*shape, 3)),
         generator.uniform(1, 10, shape),
         generator.normal(size=(*shape, 2)) * 2.5,
     )
-    return jaxblur.Frame(*(array.astype(np.float32) for array in arrays))
+    buffers: list[Any] = [array.astype(np.float32) for array in arrays]
+    return jaxblur.Frame(*buffers)
 
 
 def half_frame() -> jaxblur.Frame:
     """The plain frame in half precision."""
     plain = plain_frame()
-    buffers = (plain.color, plain.depth, plain.velocity)
-    return jaxblur.Frame(*(np.asarray(buffer, np.float16) for buffer in buffers))
+    halves: list[Any] = [
+        np.asarray(buffer, np.float16) for buffer in (plain.color, plain.depth, plain.velocity)
+    ]
+    return jaxblur.Frame(*halves)
 
 
 def all_cases() -> list[Case]:
@@ -75,7 +78,7 @@ def _changed(name: str, value: float, where: tuple[int, int] = (4, 7)) -> jaxblu
     return dataclasses.replace(frame, **{name: buffer})
 
 
-def _with(name: str, buffer: np.ndarray) -> jaxblur.Frame:
+def _with(name: str, buffer: Any) -> jaxblur.Frame:
     plain = plain_frame()
     shape = np.shape(getattr(plain, name))
     return dataclasses.replace(

@@ -96,7 +96,9 @@ def directions(inputs: Inputs, seed: int = 5) -> Inputs:
         scale = jnp.where(jnp.isfinite(value), value, 0) if relative else 1
         return noise * scale
 
-    moves = {name: draw(inputs[name], name == "depth") for name in ("color", "depth", "velocity")}
+    moves: Inputs = {
+        name: draw(inputs[name], name == "depth") for name in ("color", "depth", "velocity")
+    }
     moves["parameters"] = {
         name: draw(value, True) for name, value in sorted(inputs["parameters"].items())
     }

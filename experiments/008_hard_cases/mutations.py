@@ -109,7 +109,7 @@ class _output:
     """An open writer that is closed, and whose failures are errors."""
 
     def __init__(self, path: Path, *specs: Any):
-        self._output = oiio.ImageOutput.create(str(path))
+        self._output: Any = oiio.ImageOutput.create(str(path))
         first = specs[0] if len(specs) == 1 else tuple(specs)
         assert self._output is not None and self._output.open(str(path), first)
 
@@ -217,7 +217,7 @@ def _header_number(data: bytearray, generator: np.random.Generator) -> None:
     """Put an extreme number somewhere in the value of an attribute."""
     found = [a for a in attributes(bytes(data)) if a.size >= 4]
     chosen = found[generator.integers(len(found))]
-    offset = chosen.value + 4 * generator.integers(chosen.size // 4)
+    offset = chosen.value + 4 * int(generator.integers(chosen.size // 4))
     struct.pack_into("<i", data, offset, int(generator.choice(EXTREMES)))
 
 
@@ -295,7 +295,7 @@ def _values(data: bytearray, generator: np.random.Generator) -> None:
     for position in generator.integers(
         len(data) // 2, len(data) - 4, size=generator.integers(1, 9)
     ):
-        struct.pack_into("<I", data, position, int(generator.choice(patterns)))
+        struct.pack_into("<I", data, int(position), int(generator.choice(patterns)))
 
 
 MUTATIONS: dict[str, Callable[[bytearray, np.random.Generator], bytearray | None]] = {

@@ -31,7 +31,7 @@ cases = importlib.import_module("experiments.008_hard_cases.cases")
 measuring = importlib.import_module("experiments.008_hard_cases.measure")
 transformations = importlib.import_module("experiments.008_hard_cases.transformations")
 
-MODES = {
+MODES: dict[str, dict[str, Any]] = {
     "bilinear": {"fetch": "bilinear", "tile_choice": "expected"},
     "nearest": {"fetch": "nearest", "tile_choice": "stochastic"},
 }

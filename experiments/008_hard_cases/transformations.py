@@ -174,6 +174,6 @@ def _large(name: str) -> tuple[Any, Any]:
 
 def _large_frame() -> jaxblur.Frame:
     rows_, columns = np.mgrid[: LARGE[0], : LARGE[1]].astype(np.float32)
-    color = np.random.default_rng(0).random((*LARGE, 3), np.float32)
-    velocity = np.stack([30 * np.cos(rows_ / 80), 25 * np.sin(columns / 90)], axis=-1)
+    color: Any = np.random.default_rng(0).random((*LARGE, 3), np.float32)
+    velocity: Any = np.stack([30 * np.cos(rows_ / 80), 25 * np.sin(columns / 90)], axis=-1)
     return jaxblur.Frame(color, 5 + np.sin(columns / 33) + np.cos(rows_ / 21), velocity)

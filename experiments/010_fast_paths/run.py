@@ -70,10 +70,9 @@ class Row:
 def compiled_row(name: str, function: Callable[..., Any], reference: str, *arguments: Any) -> Row:
     """Compile a function of arrays."""
     program = jax.jit(function).lower(*arguments).compile()
-    temporaries = program.memory_analysis().temp_size_in_bytes / 1e6
-    return Row(
-        name, lambda: jax.block_until_ready(program(*arguments)), reference, round(temporaries, 1)
-    )
+    memory = program.memory_analysis()
+    temporaries = None if memory is None else memory.temp_size_in_bytes / 1e6
+    return Row(name, lambda: jax.block_until_ready(program(*arguments)), reference, temporaries)
 
 
 def filter_row(name: str, frame: jaxblur.Frame, reference: str, **changes: Any) -> Row:

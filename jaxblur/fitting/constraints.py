@@ -15,7 +15,8 @@ depth_sharpness above 0        exponential   scale of relative depth
 soft_z_extent   above 0        exponential   a length
 =============== ============== ============= ====================================================
 
-Of `layered`, ``bend``, ``jitter`` and ``thin_coverage`` are shares between 0 and 1, the others are positive scales.
+Of `layered`, ``bend``, ``jitter`` and ``thin_coverage`` are shares between 0 and 1, the others are
+positive scales.
 
 Under the exponential map a step of h is a relative change of h, and so is a standard error.
 """

@@ -1,5 +1,6 @@
 """Compile kernels, keep them between runs, and make them known to XLA."""
 
+import atexit
 import ctypes
 import functools
 import hashlib
@@ -25,6 +26,7 @@ FLAGS = (
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
 _ONE_AT_A_TIME = threading.Lock()
+_keeps_kernels = True
 
 
 class BuildFailed(Exception):
@@ -52,6 +54,8 @@ def _machine() -> str:
 
 def _folder() -> pathlib.Path:
     """Where kernels are kept, readable by this user only; a passing one if that cannot be used."""
+    if not _keeps_kernels:
+        return _passing_folder()
     try:
         folder = cache_folder() / "kernels"
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -62,10 +66,18 @@ def _folder() -> pathlib.Path:
     return _passing_folder()
 
 
+def keep_no_kernels() -> None:
+    """Have this process forget its kernels when it ends, and use none that others kept."""
+    global _keeps_kernels
+    _keeps_kernels = False
+
+
 @functools.cache
 def _passing_folder() -> pathlib.Path:
     """A folder for the time of this process."""
-    return pathlib.Path(tempfile.mkdtemp(prefix="jaxblur_kernels_"))
+    folder = tempfile.mkdtemp(prefix="jaxblur_kernels_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return pathlib.Path(folder)
 
 
 def _compile(source: str, library: pathlib.Path) -> None:
