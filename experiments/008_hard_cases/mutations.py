@@ -286,7 +286,7 @@ def _offsets(data: bytearray, generator: np.random.Generator) -> None:
         position = start + 8 * generator.integers(4)
         if position + 8 <= len(data):
             value = int(generator.choice((0, 1, 2**40, len(data), len(data) - 1, start, -1)))
-            struct.pack_into("<q", data, position, value)
+            struct.pack_into("<q", data, int(position), value)
 
 
 def _values(data: bytearray, generator: np.random.Generator) -> None:
