@@ -1,5 +1,7 @@
 """The layered filter: its plain-loop twin, coverage as a share of time, curves, silhouettes."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +23,8 @@ SETTINGS = jaxblur.Settings(samples=11, radius=30, fetch="bilinear")
 def with_path(frame, seed=9):
     bend = np.random.default_rng(seed).normal(size=frame.velocity.shape)
     ends = [bend - frame.velocity, bend + frame.velocity]
-    return jaxblur.Frame(*as_arrays(frame), path=jnp.stack(ends, axis=2).astype(frame.color.dtype))
+    path = jnp.stack(ends, axis=2).astype(frame.color.dtype)
+    return dataclasses.replace(frame, path=path)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +45,8 @@ def test_equals_plain_loops(shape, dtype, curved, options):
     path = None if frame.path is None else np.asarray(frame.path)
     values, options = fields(PARAMETERS), fields(settings)
     tap = np.asarray(noise.tap)
-    expected = layered_loops.layered(*as_arrays(frame), values, options, tap, path)
+    color, depth, velocity = as_arrays(frame)
+    expected = layered_loops.layered(color, depth, velocity, values, options, tap, path)
     np.testing.assert_allclose(actual, expected, rtol=RELATIVE[dtype], atol=1e-6)
 
 
@@ -153,8 +157,8 @@ def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
 def reached(velocity, at=(20, 20), size=8):
     x, y = np.zeros((2, 80, 80), np.float32)
     x[at], y[at] = velocity
-    planes = (jnp.asarray(plane) for plane in (x, y, np.hypot(x, y), np.zeros_like(x)))
-    first, second = np.asarray(reaching_pixels(*planes, size))
+    x, y = jnp.asarray(x), jnp.asarray(y)
+    first, second = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), size))
     assert (second == -1).all(), "there is one motion only"
     assert set(first[first >= 0].tolist()) == {at[0] * 80 + at[1]}
     return {(int(row), int(column)) for row, column in np.argwhere(first >= 0)}
@@ -173,8 +177,9 @@ def test_the_second_motion_is_the_one_most_unlike_the_first():
     x[4, 4], x[4, 20], y[4, 36] = 30, 28, 9
     y[4, 20] = 1
     x[4, 36] = 14
-    planes = [jnp.asarray(plane) for plane in (x, y, np.hypot(x, y), np.zeros_like(x))]
-    first, second = np.asarray(reaching_pixels(*planes, 8))[:, 0, 2]
+    x, y = jnp.asarray(x), jnp.asarray(y)
+    both = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), 8))
+    first, second = both[:, 0, 2]
     assert first == 4 * 40 + 4 and second == 4 * 40 + 36
 
 

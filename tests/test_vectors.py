@@ -92,20 +92,20 @@ def test_the_path_of_a_turning_point_lies_on_its_circle(degrees):
     velocity, path = convert("blender", [x, -y, -z, w], shutter=0.5)
     np.testing.assert_allclose(velocity, [0, 10 * np.sin(angle)], atol=1e-5)
     expected = [turned(40, -angle / 4), turned(40, angle / 4)]
-    np.testing.assert_allclose(path, expected, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(np.asarray(path), expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_path_of_an_accelerated_point_is_its_parabola():
     # Along a line: previous position (-6, -3), next (10, 5), so l = (8, 4) and c = (2, 1).
     velocity, path = convert("blender", [-6, 3, -10, 5], shutter=1.0)
     np.testing.assert_allclose(velocity, [4, 2])
-    np.testing.assert_allclose(path, [[-3.5, -1.75], [4.5, 2.25]], rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(path), [[-3.5, -1.75], [4.5, 2.25]], rtol=1e-5)
 
 
 @pytest.mark.parametrize(("x", "y", "z", "w"), [(-6, -1, -10, 3), (4, 5, -4, 5), (0, 0, 0, 0)])
 def test_the_path_goes_through_the_positions_in_the_file(x, y, z, w):
     _, path = convert("blender", [x, y, z, w], shutter=2.0)
-    np.testing.assert_allclose(path, [[x, -y], [-z, w]], atol=1e-5)
+    np.testing.assert_allclose(np.asarray(path), [[x, -y], [-z, w]], atol=1e-5)
 
 
 @pytest.mark.parametrize("shutter", [0.25, 0.5, 1.0])
@@ -117,6 +117,7 @@ def test_a_path_gives_back_the_displacements_that_it_came_from(shutter):
     assert path is not None
     again = vectors.from_path(path, shutter)
     back = vectors.to_half_spread(again, shutter)[1]
+    assert back is not None and again.next is not None
     np.testing.assert_allclose(back, path, atol=1e-3)
     np.testing.assert_allclose(again.next[:20], following[:20], atol=2e-2)
     np.testing.assert_allclose(again.previous[:20], previous[:20], atol=2e-2)

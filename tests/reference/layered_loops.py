@@ -192,8 +192,8 @@ def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, sett
         for k, (u, turn, bend, own) in enumerate(ways):
             place = (0, -1, 1)[k] * np.sign(middle)
             t = (middle + 2 * (place + tap * parameters["jitter"] / 2) / 3) / count
-            offset = t * t * bend - t * u
-            where, counts = at_texel(row, column, *offset, depth.shape, settings["border"])
+            x, y = t * t * bend - t * u
+            where, counts = at_texel(row, column, x, y, depth.shape, settings["border"])
             miss = motion[where][:2] - u + t * turn
             lands = clip01(1.5 - t * t * (miss @ miss) / parameters["landing_tolerance"] ** 2)
             same = clip01(1.5 - (miss @ miss) / (parameters["own_tolerance"] ** 2 * (v @ v + 0.25)))
