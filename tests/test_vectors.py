@@ -117,7 +117,7 @@ def test_a_path_gives_back_the_displacements_that_it_came_from(shutter):
     assert path is not None
     again = vectors.from_path(path, shutter)
     back = vectors.to_half_spread(again, shutter)[1]
-    assert back is not None and again.next is not None
+    assert back is not None and again.next is not None and again.previous is not None
     np.testing.assert_allclose(back, path, atol=1e-3)
     np.testing.assert_allclose(again.next[:20], following[:20], atol=2e-2)
     np.testing.assert_allclose(again.previous[:20], previous[:20], atol=2e-2)

@@ -200,7 +200,7 @@ def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, sett
             same *= clip01(1.5 - parameters["surface_sharpness"] * abs(depth[where] - here))
             lands = max(lands, own * same) if counts else 0.0
             if k == 0 and settings["fetch"] == "bilinear":
-                seen = bilinear(color, row + offset[1], column + offset[0])
+                seen = bilinear(color, row + y, column + x)
             else:
                 seen = color[where]
             guesses.append((lands, depth[where], seen, counts))
