@@ -8,7 +8,7 @@ same quantities computed once for each pixel beforehand. Checks itself against t
 times both in turn on a frame in which every tile moves.
 """
 
-import numba
+import numba  # pyright: ignore[reportMissingImports]
 import numpy as np
 
 from .alternatives import Inputs, check_and_time
