@@ -81,10 +81,10 @@ def gather_samples(
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _gather(plan: _Plan, stages: Stages, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The results, without derivatives."""
-    by_stages = functools.partial(_gather_by_stages, plan, stages)
     native = native_gather(stages, plan.count, _size(moving), plan.operands(leaves), plan.backend)
     if native is None:
-        return by_stages(moving, *leaves)
+        return _gather_by_stages(plan, stages, moving, *leaves)
+    by_stages = functools.partial(_gather_by_stages, plan._replace(backend="xla"), stages)
     return lax.platform_dependent(moving, *leaves, cpu=native, default=by_stages)
 
 

@@ -10,6 +10,8 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
+from jaxblur.text import printable
+
 PNG_TRANSFORM = "8-bit sRGB, clipped to 0..1"
 HELP_WIDTH = 98
 
@@ -169,7 +171,9 @@ def file_path(text: str) -> pathlib.Path:
     try:
         text.encode()
     except UnicodeEncodeError as error:
-        raise argparse.ArgumentTypeError(f"{text} is not a name in UTF-8; rename it") from error
+        raise argparse.ArgumentTypeError(
+            f"{printable(text)} is not a name in UTF-8; rename it"
+        ) from error
     return pathlib.Path(text)
 
 

@@ -70,11 +70,10 @@ class _Program:
         """Write a function of arrays of these shapes.
 
         Returns:
-            The values of its results, and their shapes.
+            The values of its results, and a pytree of their shapes and types.
         """
-        closed = jax.make_jaxpr(function)(*shapes)
-        values = self.writer.walk(closed.jaxpr, closed.consts, inputs)
-        return values, [variable.aval for variable in closed.jaxpr.outvars]
+        closed, results = jax.make_jaxpr(function, return_shape=True)(*shapes)
+        return self.writer.walk(closed.jaxpr, closed.consts, inputs), results
 
     def sums(self, terms: Sequence[Value]) -> list[Value]:
         """Sum terms over the samples."""
@@ -146,8 +145,9 @@ def emit_gather(
     program = _Program(count, size, _operands(local, tables))
     table_values = program.leaves[len(jax.tree.leaves(local)) :]
     shapes, table_shapes = _shaped(local), _shaped(tables)
-    prepared, _ = program.write(stages.prepare, (shapes, table_shapes), program.leaves)
-    prepared_shapes = jax.eval_shape(stages.prepare, shapes, table_shapes)
+    prepared, prepared_shapes = program.write(
+        stages.prepare, (shapes, table_shapes), program.leaves
+    )
     index = jax.ShapeDtypeStruct((count,), jnp.int32)
     terms, term_shapes = program.write(
         stages.sample,
