@@ -219,6 +219,7 @@ def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_pat
     broken.chmod(0o755)
     monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
     with pytest.raises(build.BuildFailed, match="no such thing as vectors"):
         build.register(tiny_program(101))
     assert list((tmp_path / "jaxblur" / "kernels").iterdir()) == []
@@ -226,6 +227,7 @@ def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_pat
 
 def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
     source = tiny_program(102)
     with concurrent.futures.ThreadPoolExecutor(3) as pool:
         names = set(pool.map(build.register, [source] * 3))
@@ -237,4 +239,5 @@ def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path
 def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path):
     (tmp_path / "jaxblur").write_text("a file where the folder should be")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
     assert build.register(tiny_program(103)).startswith("jaxblur_sum_")

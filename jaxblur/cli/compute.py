@@ -20,10 +20,10 @@ def start_jax(compile_cache: bool) -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     import jax
 
-    from jaxblur.native import keep_no_kernels
+    from jaxblur.native import keep_kernels
 
+    keep_kernels(compile_cache)
     if not compile_cache:
-        keep_no_kernels()
         return
     try:
         folder = cache_folder()

@@ -12,11 +12,14 @@ from .arguments import CommandError, one_of, positive_integer
 from .console import print_line
 
 
-def add_filter_options(parser: argparse.ArgumentParser) -> Any:
+def add_filter_options(
+    parser: argparse.ArgumentParser, default: str = published.DEFAULT_FILTER
+) -> Any:
     """Add the options that say which filter runs, and how; `complete` reads them.
 
     Args:
         parser: of a command.
+        default: name of the filter that runs unless another is named.
 
     Returns:
         The group of these options.
@@ -26,8 +29,9 @@ def add_filter_options(parser: argparse.ArgumentParser) -> Any:
         "--filter",
         type=_filter_name,
         metavar="NAME",
-        help=f"default {published.DEFAULT_FILTER}; see below",
+        help=f"default {default}; see below",
     )
+    parser.set_defaults(default_filter=default)
     group.add_argument(
         "--samples", type=positive_integer, metavar="N", help="taps per pixel (as published)"
     )
@@ -95,7 +99,7 @@ def complete(
     Raises:
         CommandError: another filter was fitted, or a parameter is unknown or out of range.
     """
-    name = arguments.filter or (fitted.filter if fitted else published.DEFAULT_FILTER)
+    name = arguments.filter or (fitted.filter if fitted else arguments.default_filter)
     if fitted and fitted.filter != name:
         raise CommandError(
             f"{arguments.parameters}: holds parameters of {fitted.filter}; leave out "

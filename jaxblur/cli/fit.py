@@ -69,7 +69,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--crop", type=crop, metavar="WxH+X+Y", help="use only this part")
     add_compute_options(parser)
     _add_fit_options(parser)
-    add_filter_options(parser)
+    add_filter_options(parser, default=published.FITTED_FILTER)
     add_vector_options(parser)
 
 

@@ -105,6 +105,8 @@ FILTERS: dict[str, Published] = {
     ),
 }
 DEFAULT_FILTER = "layered"
+FITTED_FILTER = "guertin2014"
+"""What `jaxblur fit` fits unless another is named: the one whose parameters are free by default."""
 
 
 def checked_parameters(

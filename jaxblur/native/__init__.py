@@ -7,13 +7,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from .build import BuildFailed, find_compiler, keep_no_kernels, register
+from .build import BuildFailed, find_compiler, keep_kernels, register
 from .emit import Kernel, Stages, emit_gather, emit_pull
 from .expressions import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 
-__all__ = ["Stages", "keep_no_kernels", "native_gather", "native_pull"]
+__all__ = ["Stages", "keep_kernels", "native_gather", "native_pull"]
 
 Sample = Callable[..., Any]
 

@@ -66,10 +66,14 @@ def _folder() -> pathlib.Path:
     return _passing_folder()
 
 
-def keep_no_kernels() -> None:
-    """Have this process forget its kernels when it ends, and use none that others kept."""
+def keep_kernels(keep: bool) -> None:
+    """Choose whether kernels outlive this process.
+
+    Args:
+        keep: if not, this process makes its own kernels anew and removes them when it ends.
+    """
     global _keeps_kernels
-    _keeps_kernels = False
+    _keeps_kernels = keep
 
 
 @functools.cache
