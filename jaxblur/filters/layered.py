@@ -240,13 +240,13 @@ def _finish(size, sums, prepared, tables):
     )
 
 
-@honoring_mask
 @functools.partial(jax.jit, static_argnames=("settings",))
+@honoring_mask
 def layered(
     frame: Frame,
     parameters: LayeredParameters,
     *,
-    settings: Settings = Settings(),
+    settings: Settings = Settings(radius=160, fetch="bilinear"),
     noise: Noise | None = None,
 ) -> jax.Array:
     """Blur by slices of time.
