@@ -98,7 +98,7 @@ def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):
     for name in (*files, "report.html"):
         assert name in outcome.out
     rows = [line.split() for line in outcome.out.splitlines()]
-    scores = {row[0]: float(row[1]) for row in rows if row[0] in ("sharp", "guertin2014")}
+    scores = {row[0]: float(row[1]) for row in rows if row[0] in ("sharp", "layered")}
     assert scores["layered"] > scores["sharp"] + 5
     assert exr.inspect(folder / "blurred.exr").parts[0].attributes["jaxblur:filter"]
     assert run(*given).status == 0, "a second demo replaces the first"

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import jaxblur
 from jaxblur.bench.frames import moving_frame
 from jaxblur.bench.timing import time_in_turn
+from jaxblur.filters import FILTERS, PUBLISHED
 
 SIZE = (720, 1280)
 FREE = ("kappa", "gamma", "tau", "phi")
@@ -129,6 +130,18 @@ def numba_rows(frame: jaxblur.Frame) -> list[Row]:
     return rows
 
 
+def published_rows(frame: jaxblur.Frame) -> list[Row]:
+    """Every filter with its own parameters and settings."""
+    reference = "guertin2014 as published"
+    rows = []
+    for name, (parameters, settings) in PUBLISHED.items():
+        blur = functools.partial(FILTERS[name], parameters=parameters, settings=settings)
+        rows.append(
+            compiled_row(f"{name} as published", lambda f, blur=blur: blur(f), reference, frame)
+        )
+    return rows
+
+
 def make_rows(size: tuple[int, int]) -> list[Row]:
     """Everything that is timed."""
     dense, sparse, still = (moving_frame(*size, moving=share) for share in (1.0, 0.3, 0.0))
@@ -146,6 +159,7 @@ def make_rows(size: tuple[int, int]) -> list[Row]:
         filter_row("native, N = 35, 30 % of the tiles move", sparse, REFERENCE),
         filter_row("native, N = 35, nothing moves", still, REFERENCE),
     ]
+    rows += published_rows(dense)
     return rows + gradient_rows(dense) + gradient_rows(dense, fetch="bilinear")
 
 
