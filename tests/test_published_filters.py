@@ -54,7 +54,9 @@ def test_the_experiment_writes_its_tables_and_pictures(
     )
     assert blurred > sharp + 6
     assert f"| pan 7 | pixel_velocity | {blurred:.2f} / " in capsys.readouterr().out
-    assert exr.read_image(out / "pan_7.png").shape == (4 * 24 + 3 * 4, 4 * 40 + 3 * 4, 3)
+    rows = 1 + len(FILTERS)
+    size = (rows * 24 + (rows - 1) * 4, 4 * 40 + 3 * 4, 3)
+    assert exr.read_image(out / "pan_7.png").shape == size
     assert (out / "overview.png").is_file()
 
 
