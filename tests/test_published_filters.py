@@ -12,6 +12,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, metrics
+from jaxblur.filters import FILTERS
 
 SCRIPT = Path(__file__).parents[1] / "experiments" / "001_published_filters" / "run.py"
 
