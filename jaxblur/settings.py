@@ -41,7 +41,7 @@ class Settings:
         diagonal_tiles: which diagonal tiles Guertin 2014 counts in the dominant velocity:
             those whose velocity is ``reaching`` the tile (section 3.4.4), or ``all``.
         backend: what sums the samples: on a CPU ``native`` code, compiled on first use and kept
-            in the user's cache folder, needs a C compiler and float32; ``xla`` runs everywhere;
+            in the user's cache folder, needs a C++ compiler and float32; ``xla`` runs everywhere;
             ``auto`` takes native code where it can. Results agree but for rounding.
 
     Raises:
