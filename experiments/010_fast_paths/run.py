@@ -9,7 +9,6 @@ speed.csv and speed.md.
 """
 
 import argparse
-import csv
 import dataclasses
 import functools
 import importlib
@@ -26,6 +25,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxblur
+from experiments.common import write_table
 from jaxblur.bench.frames import moving_frame
 from jaxblur.bench.timing import time_in_turn
 from jaxblur.filters import FILTERS, PUBLISHED
@@ -196,16 +196,6 @@ def fresh_processes() -> list[tuple[str, ...]]:
     return lines
 
 
-def write_tables(folder: pathlib.Path, lines: list[tuple[str, ...]]) -> None:
-    """Write the lines as CSV and as Markdown."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "speed.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([COLUMNS, *lines])
-    table = [COLUMNS, ("---",) * len(COLUMNS), *lines]
-    text = "".join(f"| {' | '.join(line)} |\n" for line in table)
-    (folder / "speed.md").write_text(text, encoding="utf-8")
-
-
 def main() -> None:
     """Parse the command line, measure, write."""
     parser = argparse.ArgumentParser(description="How quick guertin2014 is.")
@@ -215,7 +205,8 @@ def main() -> None:
     options = parser.parse_args()
     size = (SIZE[0] // 2, SIZE[1] // 2) if options.quick else SIZE
     lines = measure(make_rows(size), 3 if options.quick else options.repeats)
-    write_tables(options.output, lines + fresh_processes())
+    options.output.mkdir(parents=True, exist_ok=True)
+    write_table(options.output, "speed", COLUMNS, lines + fresh_processes())
 
 
 if __name__ == "__main__":
