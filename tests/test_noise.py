@@ -1,9 +1,10 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur.noise import make_noise
+from jaxblur.noise import interleaved_gradient, make_noise
 from tests.helpers import random_frame
 
 
@@ -26,7 +27,37 @@ def test_none_is_zero():
 
 def test_interleaved_gradient_noise_at_a_hand_checked_pixel():
     # x = 3, y = 2: 0.06711056 * 3 + 0.00583715 * 2 = 0.21300598; times 52.9829189 = 11.28567879
-    assert make_noise("ign", 4, 5).tap[2, 3] == pytest.approx(2 * 0.28567879 - 1, abs=1e-4)
+    assert make_noise("ign", 4, 5).tap[2, 3] == pytest.approx(2 * 0.28567879 - 1, abs=1e-6)
+
+
+def test_interleaved_gradient_noise_is_its_formula_far_from_the_origin():
+    """Where float32 has 18 bits left, and with columns to the left of 0."""
+    x, y = np.ogrid[-9000:9000:37, 0:9000:41]
+    expected = 52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1) % 1
+    apart = np.abs(interleaved_gradient(x, y) - expected)
+    assert np.minimum(apart, 1 - apart).max() < 1e-7
+
+
+def test_every_program_gives_the_same_noise_to_the_bit():
+    def alone():
+        return make_noise("ign", 61, 83)
+
+    def among_other_things(image):
+        noise = make_noise("ign", 61, 83)
+        return noise, jnp.sum(image * (1.7 * noise.tap + 0.3)) + jnp.sum(noise.tile * 2.1)
+
+    with jax.disable_jit():
+        eager = alone()
+    images = jnp.ones((2, 61, 83))
+    others = {
+        "jit": jax.jit(alone)(),
+        "larger program": jax.jit(among_other_things)(images[0])[0],
+        "vmap": jax.tree.map(lambda a: a[1], jax.vmap(among_other_things)(images)[0]),
+        "scan": jax.tree.map(lambda a: a[1], jax.lax.map(among_other_things, images)[0]),
+    }
+    for name, noise in others.items():
+        np.testing.assert_array_equal(noise.tap, eager.tap, err_msg=name)
+        np.testing.assert_array_equal(noise.tile, eager.tile, err_msg=name)
 
 
 def test_halton_starts_with_its_known_points():
