@@ -42,7 +42,13 @@ class Example(NamedTuple):
 
 
 def catalogue_example(
-    name: str, size: tuple[int, int], shutter: float, samples: int, time: float = 0.0
+    name: str,
+    size: tuple[int, int],
+    shutter: float,
+    samples: int,
+    time: float = 0.0,
+    *,
+    path: bool = False,
 ) -> Example:
     """Render a scene of the catalogue, sharp and blurred.
 
@@ -52,13 +58,14 @@ def catalogue_example(
         shutter: frames.
         samples: of the truth.
         time: frames.
+        path: whether the frame has displacements at opening and closing.
 
     Returns:
         The example; its kind is that of the module that builds the scene.
     """
     builder = scenes.SCENES[name]
     scene = builder()
-    frame = scenes.render(scene, time, shutter, size)
+    frame = scenes.render(scene, time, shutter, size, path=path)
     truth = scenes.accumulate(scene, time, shutter, samples, size)
     return Example(name, builder.__module__.rpartition("_")[2], frame, truth)
 
@@ -79,24 +86,67 @@ def cycles_examples(folder: Path, width: int, frame: int = 11) -> list[Example]:
     Raises:
         SystemExit: there is no scene.
     """
+    return [
+        _cycles_example(truth, FULL_WIDTH // width) for truth in reference_truths(folder, frame)
+    ]
+
+
+def full_size_examples(folder: Path, frame: int = 11) -> list[Example]:
+    """Read rendered scenes as `cycles_examples` does, but as they are, with curved paths.
+
+    Args:
+        folder: one sub-folder for each scene.
+        frame: number.
+
+    Returns:
+        One example for each scene.
+
+    Raises:
+        SystemExit: there is no scene.
+    """
+    return [_full_size(truth) for truth in reference_truths(folder, frame)]
+
+
+def reference_truths(folder: Path, frame: int = 11) -> list[Path]:
+    """Find the true images of rendered scenes.
+
+    Args:
+        folder: one sub-folder for each scene.
+        frame: number.
+
+    Returns:
+        One file for each scene.
+
+    Raises:
+        SystemExit: there is no scene.
+    """
     truths = sorted(folder.glob(f"*/truth_{frame:04d}.exr"))
     if not truths:
         raise SystemExit(f"{folder} holds no */truth_{frame:04d}.exr; see experiments/blender.")
-    return [_cycles_example(truth, FULL_WIDTH // width) for truth in truths]
+    return truths
+
+
+def reference_shutter(truth: Path) -> float:
+    """The shutter in frames of a rendered scene."""
+    camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
+    return camera["shutter"]
+
+
+def _full_size(truth: Path) -> Example:
+    sharp = truth.with_name(truth.name.replace("truth", "frame"))
+    frame = jaxblur.read_frame(sharp, shutter=reference_shutter(truth))
+    return Example(truth.parent.name, "cycles", frame, exr.read_image(truth))
 
 
 def _cycles_example(truth: Path, factor: int) -> Example:
-    camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
-    sharp = truth.with_name(truth.name.replace("truth", "frame"))
-    frame = jaxblur.read_frame(sharp, shutter=camera["shutter"])
+    name, kind, frame, image = _full_size(truth)
     middle = slice(factor // 2, None, factor)
     reduced = jaxblur.Frame(
         _block_means(np.asarray(frame.color)[..., :3], factor),
         jnp.asarray(frame.depth)[middle, middle],
         jnp.asarray(frame.velocity)[middle, middle] / factor,
     )
-    blurred = _block_means(exr.read_image(truth)[..., :3], factor)
-    return Example(truth.parent.name, "cycles", reduced, blurred)
+    return Example(name, kind, reduced, _block_means(np.asarray(image)[..., :3], factor))
 
 
 def _block_means(image: np.ndarray, factor: int) -> jax.Array:

@@ -189,3 +189,25 @@ def test_jacobian_and_the_gradient_that_line_searches_see():
 
     wrapped = forward_differentiated(lambda x: (x @ x, 2 * x))
     np.testing.assert_allclose(jax.grad(lambda x: 3 * wrapped(x))(point), 6 * point, rtol=1e-6)
+
+
+def test_frames_with_and_without_a_curved_path_are_stacked_apart():
+    plain = random_frame(SHAPE)
+    path = jnp.stack([0.5 * plain.velocity, 2 * plain.velocity], axis=2)
+    curved = dataclasses.replace(plain, path=path)
+    batches = batches_of(plain, curved, curved)
+    assert [batch.truth.shape[0] for batch in batches] == [1, 2]
+    assert batches[0].frame.path is None
+    np.testing.assert_array_equal(batches[1].frame.path[0], path)
+    assert sum(float(batch.weight.sum()) for batch in batches) == pytest.approx(1)
+
+
+def test_a_path_that_is_not_finite_is_refused_and_counts_in_the_hash():
+    plain = random_frame(SHAPE)
+    truth = np.full((*SHAPE, 3), 0.4, np.float32)
+    curved = dataclasses.replace(plain, path=jnp.zeros((*SHAPE, 2, 2)))
+    hashes = {pair.sha256() for pair in make_pairs([(plain, truth), (curved, truth)], None)}
+    assert len(hashes) == 2
+    bad = dataclasses.replace(plain, path=jnp.full((*SHAPE, 2, 2), jnp.nan))
+    with pytest.raises(ValueError, match="pair 0: path is NaN or infinite at 221 pixels"):
+        make_pairs([(bad, truth)], None)

@@ -10,7 +10,6 @@ FLIP, CPU time in turn), and ``errors.png``. ``--quick`` takes the first scene o
 
 import argparse
 import dataclasses
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -58,7 +57,7 @@ def variants() -> dict[str, Blur]:
 
 def read(truth: Path) -> tuple[jaxblur.Frame, jaxblur.Frame, Any, Any]:
     """The frame, the same with exact vectors, the truth, Vector Blur."""
-    shutter = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))["shutter"]
+    shutter = common.reference_shutter(truth)
     number = truth.stem.removeprefix("truth_")
     sharp, centers, peer = (
         truth.with_name(f"{kind}_{number}.exr") for kind in ("frame", "gbuf", "vectorblur")
@@ -93,9 +92,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    truths = sorted(options.reference_data.glob("*/truth_0011.exr"))
-    if not truths:
-        raise SystemExit(f"{options.reference_data} holds no */truth_0011.exr.")
+    truths = common.reference_truths(options.reference_data)
     steps: dict[str, list[float]] = {}
     peers, sheet = [], []
     filters = {"layered": blur("layered"), "guertin2014": blur("guertin2014")}

@@ -32,7 +32,9 @@ class Pair:
     def sha256(self) -> str:
         """Hash every buffer that the fit sees, with its shape."""
         digest = hashlib.sha256()
-        for buffer in (self.frame.color, self.frame.depth, self.frame.velocity, self.truth):
+        frame = self.frame
+        paths = [] if frame.path is None else [frame.path]
+        for buffer in (frame.color, frame.depth, frame.velocity, *paths, self.truth):
             array = np.ascontiguousarray(buffer, np.float32)
             digest.update(repr(array.shape).encode())
             digest.update(array.tobytes())
@@ -47,7 +49,7 @@ def make_pairs(pairs: Sequence[tuple[Frame, Any]], names: Sequence[str] | None) 
         names: one for each pair, or None for ``pair 0``, ``pair 1`` and so on.
 
     Returns:
-        The pairs; alpha is dropped, and so is a curved path, which no parameter touches.
+        The pairs; alpha is dropped.
 
     Raises:
         ValueError: sizes or channels disagree, or a buffer holds NaN or infinity (depth may be
@@ -62,7 +64,7 @@ def make_pairs(pairs: Sequence[tuple[Frame, Any]], names: Sequence[str] | None) 
 
 
 def _make_pair(name: str, frame: Frame, truth: Any) -> Pair:
-    frame = check_frame(dataclasses.replace(frame, path=None))
+    frame = check_frame(frame)
     truth = jnp.asarray(truth, frame.color.dtype)
     if truth.ndim != 3 or truth.shape[:2] != frame.color.shape[:2]:
         raise ValueError(
@@ -77,6 +79,8 @@ def _make_pair(name: str, frame: Frame, truth: Any) -> Pair:
         )
     frame = dataclasses.replace(frame, color=color)
     buffers = {"color": color, "velocity": frame.velocity, "truth": truth}
+    if frame.path is not None:
+        buffers["path"] = frame.path.reshape(*color.shape[:2], -1)
     for what, buffer in buffers.items():
         _refuse_non_finite(name, what, np.isfinite(buffer).all(axis=-1))
     _refuse_non_finite(name, "depth", ~np.isnan(frame.depth) & ~np.isneginf(frame.depth))
@@ -143,19 +147,20 @@ def _masks(pairs: Sequence[Pair], mask: Any) -> list[np.ndarray]:
 
 
 def make_batches(pairs: Sequence[Pair], weights: Sequence[np.ndarray]) -> tuple[Batch, ...]:
-    """Stack pairs of one size, so that each size compiles once.
+    """Stack pairs of one size and with the same buffers, so that each kind compiles once.
 
     Args:
         pairs: the pairs.
         weights: from `pixel_weights`.
 
     Returns:
-        One batch for each size.
+        One batch for each kind.
     """
-    sizes: dict[tuple[int, ...], list[Batch]] = {}
+    kinds: dict[Any, list[Batch]] = {}
     for index, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
         # Exactly as wide as the color, for float64 fits too.
         share = jnp.asarray(weight, pair.truth.dtype)
         batch = Batch(pair.frame, pair.truth, share, jnp.asarray(index))
-        sizes.setdefault(pair.truth.shape, []).append(batch)
-    return tuple(jax.tree.map(lambda *leaves: jnp.stack(leaves), *same) for same in sizes.values())
+        kind = pair.truth.shape, jax.tree.structure(batch)
+        kinds.setdefault(kind, []).append(batch)
+    return tuple(jax.tree.map(lambda *leaves: jnp.stack(leaves), *same) for same in kinds.values())
