@@ -89,6 +89,23 @@ def read_nearest(
     return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
+def read_row(
+    table: Float[Array, " elements"], index: Int[Array, "*shape"], width: int
+) -> tuple[Float[Array, "*shape"], ...]:
+    """Read rows of a flat table; one load on a CPU where the elements of a row are neighbors.
+
+    Args:
+        table: (rows * width,) values, row by row.
+        index: number of the row, known to lie inside.
+        width: elements of a row.
+
+    Returns:
+        One array for each element of the row, of the index's shape.
+    """
+    start = index * width
+    return tuple(read_nearest(table, start + k) for k in range(width))
+
+
 def color_table(color: Float[Array, "height width channels"]) -> Float[Array, " texels"]:
     """Color as the flat table that `read_color` reads; channels of a pixel are neighbors.
 
@@ -122,16 +139,15 @@ def read_color(
     height, width = size
     channels = table.size // (height * width)
     if fetch == "nearest":
-        return tuple(read_nearest(table, texels.index * channels + c) for c in range(channels))
+        return read_row(table, texels.index, channels)
     left, top = jnp.floor(texels.x), jnp.floor(texels.y)
     across, down = texels.x - left, texels.y - top
     columns = [jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1)]
     rows = [jnp.clip(top.astype(jnp.int32) + k, 0, height - 1) * width for k in (0, 1)]
-    corners = [(row + column) * channels for row in rows for column in columns]
+    corners = [read_row(table, row + column, channels) for row in rows for column in columns]
 
-    def mix(channel):
-        a, b, c, d = (read_nearest(table, corner + channel) for corner in corners)
+    def mix(a, b, c, d):
         upper, lower = a + across * (b - a), c + across * (d - c)
         return upper + down * (lower - upper)
 
-    return tuple(mix(channel) for channel in range(channels))
+    return tuple(mix(*values) for values in zip(*corners, strict=True))

@@ -105,7 +105,7 @@ class _Program:
         }
         sizes = {"TABLES": len(tables), "TABLE_SIZES": ", ".join(map(str, [*tables, 0]))}
         numbers = self._numbers | sizes | {"RESULTS": len(results)}
-        texts = {name: "\n".join(lines) for name, lines in parts.items()}
+        texts = {name: "\n".join(map(str, lines)) for name, lines in parts.items()}
         source = TEMPLATE.read_text(encoding="utf-8")
         for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
             source = source.replace(f"@{name}@", text)

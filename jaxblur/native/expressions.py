@@ -11,6 +11,8 @@ import jax
 import numpy as np
 from jax.extend import core
 
+from .records import Read
+
 _SCALARS = {"float32": "float", "int32": "int32_t", "bool": "bool"}
 _VECTORS = {"float32": "Floats", "int32": "Ints", "bool": "Ints"}
 _BUFFERS = {"float32": "float", "int32": "int32_t", "bool": "uint8_t"}
@@ -42,17 +44,24 @@ class Value:
         code: the expression, or the name of a variable.
         dtype: name of the array type.
         level: where it is computed.
-        table: whether it is an array that samples read at other pixels.
+        table: elements of an array that samples read at other pixels; 0 for any other value.
         number: what it is, where that is known.
+        origin: (expression, whole number) whose sum it is, where that is known.
         additions: (index, value) pairs, where it is a table that taps add to.
     """
 
     code: str
     dtype: str
     level: Level = Level.UNIFORM
-    table: bool = False
+    table: int = 0
     number: Any = None
+    origin: tuple[str, int] | None = None
     additions: "tuple[tuple[Value, Value], ...]" = ()
+
+    @property
+    def base(self) -> tuple[str, int]:
+        """The expression that it is a known distance from, and the distance."""
+        return self.origin or (self.code, 0)
 
     @property
     def ordered(self) -> bool:
@@ -261,21 +270,33 @@ def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
     return inputs[0] if name == "neg" and zeros[0] else None
 
 
+def _distance(name: str, dtype: Any, inputs: Sequence[Value]) -> tuple[str, int] | None:
+    """Origin of a sum with a known whole number."""
+    if name != "add" or np.dtype(dtype) != np.int32:
+        return None
+    for value, step in (inputs, inputs[::-1]):
+        if step.number is not None and value.wide:
+            expression, distance = value.base
+            return expression, distance + int(step.number)
+    return None
+
+
 class Writer:
     """Collects the statements of each level while walking through jaxprs.
 
     Attributes:
-        statements: by level.
+        statements: by level; strings, and reads that may still grow.
         finishing: set once the samples are done; what a pixel needs then is written after them.
         last_statements: what is written after the samples.
         constants: tables of numbers.
     """
 
     def __init__(self) -> None:
-        self.statements: dict[Level, list[str]] = {level: [] for level in Level}
+        self.statements: dict[Level, list[Any]] = {level: [] for level in Level}
         self.finishing = False
-        self.last_statements: list[str] = []
+        self.last_statements: list[Any] = []
         self.constants: list[str] = []
+        self._reads: dict[tuple[str, str, bool], Read] = {}
         self._names = 0
 
     def _name(self) -> str:
@@ -286,10 +307,13 @@ class Writer:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
         kind = _c_type(dtype, level >= Level.PIXEL)
-        late = self.finishing and level == Level.PIXEL
-        statements = self.last_statements if late else self.statements[level]
-        statements.append(f"const {kind} {name} = {code};")
+        self._place(level).append(f"const {kind} {name} = {code};")
         return Value(name, dtype, level)
+
+    def _place(self, level: Level) -> list[Any]:
+        """Where statements of a level are written now."""
+        late = self.finishing and level == Level.PIXEL
+        return self.last_statements if late else self.statements[level]
 
     def constant(self, value: Any) -> Value:
         """A closed-over array: a number, or one number a sample."""
@@ -357,7 +381,8 @@ class Writer:
         code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
         if code == inputs[0].code:
             return inputs[0]
-        return self.define(code, dtype, level)
+        result = self.define(code, dtype, level)
+        return dataclasses.replace(result, origin=_distance(name, dtype, inputs))
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""
@@ -365,7 +390,13 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if table.dtype != "float32" or not index.wide:
             raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
-        return self.define(f"read({table.code}, {index.code})", table.dtype, index.level)
+        base, offset = index.base
+        key = (table.code, base, self.finishing and index.level == Level.PIXEL)
+        if key not in self._reads:
+            self._reads[key] = Read(table.code, table.table, base, {})
+            self._place(index.level).append(self._reads[key])
+        name = self._reads[key].names.setdefault(offset, self._name())
+        return Value(name, table.dtype, index.level)
 
     def _position(self, parameters: Any) -> Value:
         """Number of the sample, row, or column."""
@@ -384,7 +415,7 @@ class Writer:
         name = f"argument{position}"
         declaration = f"const auto {name} = (const {_BUFFERS[dtype]}*)job->arguments[{position}];"
         if table:
-            return declaration, Value(name, dtype, table=True)
+            return declaration, Value(name, dtype, table=leaf.size)
         if leaf.ndim == 0:
             return declaration, Value(f"{name}[0]", dtype)
         return declaration, self.define(_LOADS[dtype].format(f"{name} + pixel"), dtype, Level.PIXEL)

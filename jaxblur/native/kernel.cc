@@ -105,6 +105,78 @@ static inline Floats read(const float* table, Ints index) {
 }
 #endif
 
+/* Four neighboring elements a lane, each lane from a place of its own: loaded whole and transposed,
+   since a gather instruction takes one element at a time. The last lanes of a part of four fill
+   its columns from left to right. */
+#if defined(__AVX512F__)
+typedef __m512 Rows;
+static inline Rows load_rows(const float* table, const int32_t* index) {
+  const __m256 low = _mm256_insertf128_ps(
+      _mm256_castps128_ps256(_mm_loadu_ps(table + index[0])), _mm_loadu_ps(table + index[4]), 1);
+  const __m256 high = _mm256_insertf128_ps(
+      _mm256_castps128_ps256(_mm_loadu_ps(table + index[8])), _mm_loadu_ps(table + index[12]), 1);
+  return _mm512_insertf32x8(_mm512_castps256_ps512(low), high, 1);
+}
+#define INTERLEAVE(half, bits, a, b) \
+  (Rows) _mm512_unpack##half##_##bits((__m512##bits##_)(a), (__m512##bits##_)(b))
+typedef __m512 __m512ps_;
+typedef __m512d __m512pd_;
+#elif defined(__AVX2__)
+typedef __m256 Rows;
+static inline Rows load_rows(const float* table, const int32_t* index) {
+  return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(table + index[0])),
+                              _mm_loadu_ps(table + index[4]), 1);
+}
+#define INTERLEAVE(half, bits, a, b) \
+  (Rows) _mm256_unpack##half##_##bits((__m256##bits##_)(a), (__m256##bits##_)(b))
+typedef __m256 __m256ps_;
+typedef __m256d __m256pd_;
+#endif
+
+static inline void read_each(const float* table, Ints index, int count, Floats* values) {
+  for (int k = 0; k < count; ++k) values[k] = read(table, index + k);
+}
+static inline void read_row(const float* table, int64_t size, Ints index, int count,
+                            Floats* values) {
+#ifdef INTERLEAVE
+  int32_t places[LANES], last = 0;
+  memcpy(places, &index, sizeof places);
+  const Ints beyond = index > (int32_t)(size - 4);
+  for (int k = 0; k < LANES; ++k) last |= beyond[k];
+  if (!last) {
+    const Rows a = load_rows(table, places), b = load_rows(table, places + 1);
+    const Rows c = load_rows(table, places + 2), d = load_rows(table, places + 3);
+    const Rows ab = INTERLEAVE(lo, ps, a, b), cd = INTERLEAVE(lo, ps, c, d);
+    values[0] = (Floats)INTERLEAVE(lo, pd, ab, cd);
+    values[1] = (Floats)INTERLEAVE(hi, pd, ab, cd);
+    if (count > 2) {
+      const Rows ab_last = INTERLEAVE(hi, ps, a, b), cd_last = INTERLEAVE(hi, ps, c, d);
+      values[2] = (Floats)INTERLEAVE(lo, pd, ab_last, cd_last);
+      if (count > 3) values[3] = (Floats)INTERLEAVE(hi, pd, ab_last, cd_last);
+    }
+    return;
+  }
+#endif
+  read_each(table, index, count, values); /* a load of four would run over the end */
+}
+static inline void read_2(const float* table, int64_t size, Ints index, Floats& a, Floats& b) {
+  Floats values[2];
+  read_row(table, size, index, 2, values);
+  a = values[0], b = values[1];
+}
+static inline void read_3(const float* table, int64_t size, Ints index, Floats& a, Floats& b,
+                          Floats& c) {
+  Floats values[3];
+  read_row(table, size, index, 3, values);
+  a = values[0], b = values[1], c = values[2];
+}
+static inline void read_4(const float* table, int64_t size, Ints index, Floats& a, Floats& b,
+                          Floats& c, Floats& d) {
+  Floats values[4];
+  read_row(table, size, index, 4, values);
+  a = values[0], b = values[1], c = values[2], d = values[3];
+}
+
 /* Lanes beyond the end of a row hold the row's last value; they are never written back. */
 template <typename Wide, typename Element>
 static inline Wide load(const Element* row, int lanes) {
