@@ -100,11 +100,9 @@ def blur_rows(
         devices: all of the default kind if None.
 
     Returns:
-        (H, W, C), what the filter returns for the frame. With noise that is passed it is so to the
+        (H, W, C), what the filter returns for the frame, with the noise of the whole frame: to the
         bit where taps read the nearest texel; bilinear positions and the shares of
-        ``split="variance"`` are rounded at other places. The built-in noise is that of the whole
-        frame, but XLA rounds it in the last digits as it fuses it with a program, which moves
-        single taps by a texel: pass ``jaxblur.noise.make_noise`` to both for equal bits.
+        ``split="variance"`` are rounded at other places.
 
     Raises:
         ValueError: as the filter, or the parameters are traced.
@@ -114,7 +112,8 @@ def blur_rows(
     settings = PUBLISHED[name][1] if settings is None else settings
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
-    blocks = plan_rows(height, len(_devices(devices)), *row_reach(name, parameters, settings))
+    reach = row_reach(name, parameters, settings, curved=frame.path is not None)
+    blocks = plan_rows(height, len(_devices(devices)), *reach)
     if blocks.count == 1:
         return FILTERS[name](frame, parameters, settings=settings, noise=noise)
     mesh = _mesh(_devices(devices)[: blocks.count])
@@ -182,13 +181,16 @@ def plan_rows(height: int, devices: int, alignment: int, reach: int) -> Blocks:
     return Blocks(height, math.ceil(tiles / each), each * alignment, halo * alignment)
 
 
-def row_reach(name: str, parameters: Any, settings: Settings) -> tuple[int, int]:
-    """On how many rows to either side the result of a row may depend.
+def row_reach(
+    name: str, parameters: Any, settings: Settings, curved: bool = False
+) -> tuple[int, int]:
+    """On how many rows to either side the result of a row may depend; on as many columns too.
 
     Args:
         name: a key of `jaxblur.FILTERS`.
         parameters: of the filter.
         settings: of the filter.
+        curved: whether the frame has a path; only ``layered`` follows it.
 
     Returns:
         Rows from one tile to the next, and rows to either side of a tile.
@@ -208,8 +210,9 @@ def row_reach(name: str, parameters: Any, settings: Settings) -> tuple[int, int]
         rings = 2 + (settings.split == "variance")
         return radius, max(rings * radius, taps)
     if name == "layered":
-        # Lines as long as the motion reach the tile that a pixel reads; taps go as far again.
-        return fine_tile(radius), 2 * taps + fine_tile(radius)
+        # A tap is as far as the velocity, its turn, and what a path bends, the radius at most each;
+        # the lines of the tile that a pixel reads begin no farther away.
+        return fine_tile(radius), (2 + curved) * taps + fine_tile(radius)
     raise ValueError(f"`filter` must be one whose reach is known, got {name!r}.")
 
 

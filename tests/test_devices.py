@@ -1,15 +1,22 @@
 """Several devices give what one gives; forced host devices, in a process of their own."""
 
+import dataclasses
+import functools
 import json
 import os
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxblur
 from jaxblur.devices import Blocks, plan_rows, row_reach
+from jaxblur.filters import FILTERS, PUBLISHED
 from tests.exr_files import plain_frame, write_single
+from tests.helpers import random_frame, random_noise
 
 SCRIPT = """
 import dataclasses, json, sys
@@ -26,17 +33,21 @@ def note(label, one, many, color):
     difference, change = (np.abs(np.asarray(other) - one).max() for other in (many, color))
     report[label] = float(difference), float(change), len(many.sharding.device_set)
 
-def rows(label, name, shape, used, settings={}, **fields):
+def rows(label, name, shape, used, settings={}, noise=random_noise, **fields):
     frame = dataclasses.replace(random_frame(shape, speed=30.0), **fields)
     settings = jaxblur.Settings(**{"samples": 7, "radius": 8} | settings)
-    options = {"settings": settings, "noise": random_noise(shape)}
+    options = {"settings": settings, "noise": noise(shape)}
     one = FILTERS[name](frame, PUBLISHED[name][0], **options)
     note(label, one, blur_rows(name, frame, devices=devices[:used], **options), frame.color)
 
-for name in ("mcguire2012", "pixel_velocity", "layered"):
+for name in ("mcguire2012", "pixel_velocity"):
     rows(name, name, (61, 20), 2)
+# What is fast is on one device alone.
+slow = random_frame((150, 20), speed=4.0).velocity.at[:30].multiply(8)
+rows("layered", "layered", (150, 20), 2, {"radius": 24}, velocity=slow)
 mask = jnp.asarray(np.random.default_rng(5).random((79, 24)) > 0.2)
 rows("three, masked", "guertin2014", (79, 24), 3, valid=mask)
+rows("built-in noise", "guertin2014", (79, 24), 2, noise=lambda shape: None)
 rows("few rows", "pixel_velocity", (9, 24), 3)
 rows("far taps", "guertin2014", (120, 24), 2, {"samples": 2, "radius": 6, "border": "clamp"})
 rows("rounded", "guertin2014", (61, 24), 2, {"split": "variance", "fetch": "bilinear"})
@@ -93,7 +104,7 @@ def report(tmp_path_factory):
     return json.loads(outcome.stdout.splitlines()[-1])
 
 
-ROWS = ("mcguire2012", "pixel_velocity", "layered", "three, masked", "far taps")
+ROWS = ("mcguire2012", "pixel_velocity", "layered", "three, masked", "far taps", "built-in noise")
 
 
 @pytest.mark.parametrize("label", ROWS)
@@ -101,6 +112,40 @@ def test_rows_are_those_of_the_whole_frame_to_the_bit(report, label):
     difference, change, devices = report[label]
     assert difference == 0
     assert change > 0.1 and devices == (3 if label == "three, masked" else 2)
+
+
+def uneven_frame(shape, curved):
+    """Fast at the top, slower below; masked here and there, and bent if it is to be."""
+    frame = random_frame(shape)
+    row, column = jnp.mgrid[: shape[0], : shape[1]]
+    velocity = 12 * jnp.stack([jnp.cos(row / 80), jnp.sin(column / 90)], axis=-1)
+    velocity = velocity.at[:20].multiply(3)
+    valid = jnp.asarray(np.random.default_rng(5).random(shape) > 0.2)
+    bend = 20 * np.random.default_rng(3).normal(size=velocity.shape)
+    path = jnp.stack([bend - velocity, bend + velocity], axis=2).astype(jnp.float32)
+    path = path if curved else None
+    return dataclasses.replace(frame, velocity=velocity, path=path, valid=valid)
+
+
+@pytest.mark.parametrize(
+    ("name", "radius", "curved"), [*((name, 40, False) for name in FILTERS), ("layered", 16, True)]
+)
+def test_a_part_with_its_halo_is_the_whole_to_the_bit(name, radius, curved):
+    """What is farther away, faster too, changes nothing."""
+    frame, noise = uneven_frame((160, 152), curved), random_noise((160, 152))
+    settings, parameters = jaxblur.Settings(samples=7, radius=radius), PUBLISHED[name][0]
+    tile, reach = row_reach(name, parameters, settings, curved=curved)
+    halo = -(-reach // tile) * tile
+    blur = functools.partial(FILTERS[name], settings=settings)
+    whole = np.asarray(blur(frame, parameters, noise=noise))
+    cut = np.s_[40 // tile * tile :, 40 // tile * tile :]
+    part, own = jax.tree.map(lambda buffer: buffer[cut], (frame, noise))
+    alone = np.asarray(blur(part, parameters, noise=own))
+    inner = np.s_[halo:, halo:]
+    assert whole[cut][inner].size > 1000
+    np.testing.assert_array_equal(alone[inner], whole[cut][inner])
+    assert np.abs(whole - frame.color).max() > 0.1
+    assert np.abs(alone - whole[cut]).max() > 0.01, "without its halo it differs"
 
 
 def test_rows_where_positions_are_rounded_at_other_places(report):

@@ -154,11 +154,11 @@ def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
     np.testing.assert_array_equal(y, np.where(np.arange(8) < 4, 6, 0) * np.ones((8, 1)))
 
 
-def reached(velocity, at=(20, 20), size=8):
+def reached(velocity, at=(20, 20), radius=40):
     x, y = np.zeros((2, 80, 80), np.float32)
     x[at], y[at] = velocity
     x, y = jnp.asarray(x), jnp.asarray(y)
-    first, second = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), size))
+    first, second = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), radius))
     assert (second == -1).all(), "there is one motion only"
     assert set(first[first >= 0].tolist()) == {at[0] * 80 + at[1]}
     return {(int(row), int(column)) for row, column in np.argwhere(first >= 0)}
@@ -178,9 +178,22 @@ def test_the_second_motion_is_the_one_most_unlike_the_first():
     y[4, 20] = 1
     x[4, 36] = 14
     x, y = jnp.asarray(x), jnp.asarray(y)
-    both = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), 8))
+    both = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), 40))
     first, second = both[:, 0, 2]
     assert first == 4 * 40 + 4 and second == 4 * 40 + 36
+
+
+def test_what_is_fast_elsewhere_does_not_change_which_lines_cross_a_tile():
+    frame = random_frame((300, 300), speed=14.0)
+    velocity = frame.velocity.at[:20].multiply(3)
+    x, y = jnp.clip(velocity, -25, 25)[..., 0], jnp.clip(velocity, -25, 25)[..., 1]
+    planes = x, y, jnp.hypot(x, y), jnp.log(jnp.minimum(frame.depth, 1e18))
+    whole = np.asarray(reaching_pixels(*planes, 40))[:, 5:]
+    part = np.asarray(reaching_pixels(*(plane[40:] for plane in planes), 40))
+    part = np.where(part >= 0, part + 40 * 300, -1)
+    # The first six rows of tiles of the part are near enough to its border to miss lines.
+    np.testing.assert_array_equal(part[:, 6:], whole[:, 6:])
+    assert (part[:, :6] != whole[:, :6]).any()
 
 
 def test_fine_tiles_divide_the_radius_where_a_divisor_is_near():

@@ -20,9 +20,9 @@ from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sample_sums import Stages, gather_samples
-from ..sampling import color_table, read_color, read_nearest, read_position
+from ..sampling import channel, color_table, read_color, read_nearest, read_position
 from ..settings import Settings
-from ..tiles import own_tile
+from ..tiles import clamp_speed, own_tile
 from ..weights import SPEED_FLOOR, finite_depth
 from .masking import honoring_mask
 from .reaching import fine_tile, reaching_pixels
@@ -142,12 +142,14 @@ def _slice(size, settings, count, index, local, tables):
 
 def _motion(frame, parameters, settings, log_depth):
     """Velocity x, y, speed, and half the acceleration x, y of every pixel; that needs a path."""
-    motion = velocity = frame.velocity
+    motion = frame.velocity
     if frame.path is not None:
         opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
-        motion = jnp.concatenate([closing - opening, opening + closing], axis=-1) / 2
-    longest = jnp.asarray(settings.radius, velocity.dtype)
-    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+        # What bends is as long as the radius at the most, so that taps have a farthest place.
+        half, _ = clamp_speed((opening + closing) / 2, settings.radius)
+        motion = jnp.concatenate([(closing - opening) / 2, half], axis=-1)
+    longest = jnp.asarray(settings.radius, motion.dtype)
+    speed = safe_norm(motion[..., 0], motion[..., 1])
     motion = motion * (longest / jnp.maximum(speed, longest))[..., None]
     separation, coverage = parameters.surface_sharpness, parameters.thin_coverage
     x, y, *half = purest_motion(motion, log_depth, separation, coverage, settings.backend)
@@ -223,20 +225,14 @@ def _prepare(size, local, tables):
     } | {name: local[name] for name in ("depth", "front_sharpness", "surface_sharpness")}
 
 
-def _finish(size, sums, prepared, tables):
+def _finish(sums, prepared, local):
     """The mean over the slices, and the color itself where nothing moves or nothing is seen."""
     *colors, weight = sums
     blurs = prepared["moving"] & (weight > SMALLEST_WEIGHT)
-    row = lax.broadcasted_iota(jnp.int32, (*size, 1), 0)
-    column = lax.broadcasted_iota(jnp.int32, (*size, 1), 1)
-    index = (row * size[1] + column) * len(colors)
+    weight = jnp.where(blurs, weight, 1)
     return tuple(
-        jnp.where(
-            blurs,
-            color / jnp.where(blurs, weight, 1),
-            read_nearest(tables["color"], index + channel),
-        )
-        for channel, color in enumerate(colors)
+        jnp.where(blurs, color / weight, channel(local["color"], k))
+        for k, color in enumerate(colors)
     )
 
 
@@ -279,7 +275,7 @@ def layered(
     log_depth = jnp.log(finite_depth(frame.depth))
     x, y, speed, half = _motion(frame, parameters, settings, log_depth)
     tile_size = fine_tile(settings.radius)
-    pixels = reaching_pixels(x, y, speed, log_depth, tile_size)
+    pixels = reaching_pixels(x, y, speed, log_depth, settings.radius)
     exists, tile = pixels >= 0, own_tile(height, width, tile_size)
     vectors = jnp.stack([x.reshape(-1)[pixels], y.reshape(-1)[pixels]], axis=-1)
     vectors = jnp.where(exists[..., None], vectors, 0)
@@ -297,12 +293,12 @@ def layered(
         "noise": noise.tap.astype(frame.color.dtype),
     }
     local = jax.tree.map(lambda plane: plane[..., None], planes) | vars(parameters)
+    local["color"] = frame.color
     count = settings.samples // GUESSES
     stages = Stages(
         functools.partial(_prepare, shape),
         functools.partial(_slice, shape, settings, count),
-        functools.partial(_finish, shape),
+        _finish,
     )
     moving = (speed > SPEED_FLOOR) | jnp.any(exists, axis=0).reshape(-1)[tile]
-    colors = gather_samples(stages, count, moving, local, tables, settings.backend)
-    return jnp.where(moving[..., None], jnp.stack(colors, axis=-1), frame.color)
+    return gather_samples(stages, count, moving, frame.color, local, tables, settings.backend)

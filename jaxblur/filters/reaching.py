@@ -3,7 +3,8 @@
 Every fine tile draws its fastest velocity along its own line, over all tiles that the line
 crosses. A tile keeps two of those that cross it: the fastest, and the one most unlike that. Lines
 are as long as the motion, so that blur may be longer than any tile, and what moves past without
-reaching a tile leaves it alone.
+reaching a tile leaves it alone. Which tiles a line crosses, and what it counts for there, hangs on
+nothing that is farther away: a part of a frame gives what the frame does.
 """
 
 import functools
@@ -21,8 +22,8 @@ from ..weights import SPEED_FLOOR
 USUAL_TILE = 8
 """Pixels. Six gain less than 0.1 dB on rendered scenes and double the work; twelve lose as much."""
 
-_LEVELS = 1023
-"""Steps to which unlikeness is rounded: with 8K frames it still leaves room for the ranks."""
+_LARGEST = 7680, 4320
+"""Up to this size frames share one scale of unlikeness; of larger ones it is coarser."""
 
 IN_FRONT = 0.05
 """Log depth from which on a line counts as in front of what it crosses."""
@@ -59,7 +60,7 @@ def reaching_pixels(
     y: Float[Array, "height width"],
     speed: Float[Array, "height width"],
     log_depth: Float[Array, "height width"],
-    size: int,
+    radius: int,
 ) -> Int[Array, "2 rows columns"]:
     """The two pixels whose motions matter most in each tile of a fine grid.
 
@@ -73,17 +74,18 @@ def reaching_pixels(
         y: half-spread in pixels downward.
         speed: its norm.
         log_depth: natural logarithm of the depth.
-        size: side of a tile in pixels.
+        radius: longest half-spread in pixels, which tells the side of a tile (`fine_tile`).
 
     Returns:
         Row-major indices into the image, -1 where there is no such line.
     """
     x, y, speed, log_depth = lax.stop_gradient((x, y, speed, log_depth))
+    size = fine_tile(radius)
     winner = tile_argmax(speed, size)
     pixel = winner.reshape(-1)
     rows, columns = winner.shape
     farthest = _tile_highest(log_depth, size)
-    lines = _Lines(pixel, (x, y, speed, log_depth), (rows, columns), size)
+    lines = _Lines(pixel, (x, y, speed, log_depth), (rows, columns), radius)
     in_front = functools.partial(lines.in_front, farthest)
     first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
     second = lines.highest(
@@ -102,6 +104,13 @@ def _tile_highest(plane: jax.Array, size: int) -> Float[Array, " tiles"]:
     )
 
 
+def _levels(size: int, count: int) -> int:
+    """Steps to which unlikeness up to the radius is rounded: with the ranks, 31 bits hold them."""
+    width, height = _LARGEST
+    usual = -(-width // size) * -(-height // size)
+    return (2**31 - 1) // max(usual, count) - 1
+
+
 class _Lines:
     """The lines that the tiles' fastest pixels draw over the grid."""
 
@@ -110,17 +119,18 @@ class _Lines:
         pixel: Int[Array, " tiles"],
         planes: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
         grid: tuple[int, int],
-        size: int,
+        radius: int,
     ) -> None:
         self._rows, self._columns = grid
-        self._size, self._count = size, len(pixel)
+        self._size, self._radius, self._count = fine_tile(radius), radius, len(pixel)
         width = planes[0].shape[1]
         # The speeds as they were clamped, equal to the bit: their ranks hang on no rounding.
         self._x, self._y, self._speed, self._depth = (plane.reshape(-1)[pixel] for plane in planes)
         self._start_x, self._start_y = pixel % width + 0.5, pixel // width + 0.5
-        # Only as many steps as the longest line needs, whatever the radius; rounding of a speed
-        # clamped to a whole number of tiles may not add one, which would move all of them.
-        self._steps = jnp.ceil(jnp.max(self._speed) / size - 1e-3).astype(jnp.int32)
+        # No farther apart than a tile; rounding of a speed clamped to a whole number of tiles may
+        # not add a step, which would move all of them.
+        self._steps = jnp.maximum(jnp.ceil(self._speed / self._size - 1e-3), 1)
+        self._levels = _levels(self._size, self._count)
         self._by_rank = jnp.argsort(-self._speed, stable=True)[::-1]
         ranks = jnp.arange(self._count, dtype=jnp.int32)
         self._rank = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
@@ -133,8 +143,8 @@ class _Lines:
         """What each line shows that another one for each line does not, in levels; -1 if alike."""
         other = jnp.maximum(first, 0)
         apart = safe_norm(self._x - self._x[other], self._y - self._y[other])
-        share = jnp.minimum(self._speed, apart) / jnp.maximum(jnp.max(self._speed), SPEED_FLOOR)
-        level = jnp.floor(jnp.clip(share, 0, 1) * _LEVELS).astype(jnp.int32)
+        share = jnp.minimum(self._speed, apart) / self._radius
+        level = jnp.floor(jnp.clip(share, 0, 1) * self._levels).astype(jnp.int32)
         return jnp.where(apart > ALIKE, level, -1)
 
     def highest(self, level: Callable[[Array], Array]) -> Int[Array, " tiles"]:
@@ -148,20 +158,22 @@ class _Lines:
             (T,).
         """
         counts = self._speed > SPEED_FLOOR
+        most = jnp.max(self._steps).astype(jnp.int32)
 
         def add_step(step, best):
-            for tile, inside in self._crossed(step - self._steps):
+            on_line = counts & (jnp.abs(step) <= self._steps)
+            for tile, inside in self._crossed(step):
                 key = level(tile) * self._count + self._rank
-                best = best.at[tile].max(jnp.where(inside & counts, key, -1))
+                best = best.at[tile].max(jnp.where(inside & on_line, key, -1))
             return best
 
         none = jnp.full(self._count, -1, jnp.int32)
-        best = lax.fori_loop(0, 2 * self._steps + 1, add_step, none)
+        best = lax.fori_loop(-most, most + 1, add_step, none)
         return jnp.where(best >= 0, self._by_rank[best % self._count], -1)
 
     def _crossed(self, step):
-        """The four tiles under each line's width at one step of it, and whether in the grid."""
-        position = step / jnp.maximum(self._steps, 1)
+        """The four tiles under each line's width at a step of its own, and whether in the grid."""
+        position = step / self._steps
         half = self._size / 2 - _INSET
         for down in (-half, half):
             row = jnp.floor((self._start_y + position * self._y + down) / self._size)

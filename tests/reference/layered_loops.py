@@ -19,17 +19,21 @@ def log_depth(depth):
 
 
 def motion_of(velocity, path, radius):
-    """Per pixel: velocity x, y, and half the acceleration x, y; clamped by the straight speed."""
+    """Per pixel: velocity x, y, and half the acceleration x, y; each within the radius."""
     motion = np.zeros((*velocity.shape[:2], 4))
     for at in np.ndindex(velocity.shape[:2]):
-        speed = math.hypot(*velocity[at])
-        scale = min(1.0, radius / speed) if speed > 0 else 1.0
         motion[at][:2] = velocity[at]
         if path is not None:
             motion[at][:2] = (path[at][1] - path[at][0]) / 2
             motion[at][2:] = (path[at][1] + path[at][0]) / 2
-        motion[at] *= scale
+            motion[at][2:] *= shortening(motion[at][2:], radius)
+        motion[at] *= shortening(motion[at][:2], radius)
     return motion
+
+
+def shortening(vector, radius):
+    """What makes a vector no longer than the radius."""
+    return min(1.0, radius / max(math.hypot(*vector), 1e-300))
 
 
 def purest(motion, depth, separation, coverage):
@@ -90,12 +94,12 @@ def lines_of(motion, size, radius):
 def crossings(lines, speeds, grid, size):
     """For every tile the set of lines whose width covers it at one of the steps."""
     rows, columns = grid
-    steps = math.ceil(max(speeds) / size)
     crossed = [set() for _ in range(rows * columns)]
     half = size / 2 - 0.25
     for number, (v, (row, column)) in enumerate(lines):
+        steps = max(math.ceil(speeds[number] / size - 1e-3), 1)
         for step in range(-steps, steps + 1):
-            t = step / max(steps, 1)
+            t = step / steps
             for a in (-half, half):
                 for b in (-half, half):
                     y = math.floor((row + 0.5 + t * v[1] + a) / size)
@@ -111,7 +115,7 @@ def tile_velocities(motion, depth, size, radius):
     grid = -(-height // size), -(-width // size)
     lines = lines_of(motion, size, radius)
     speeds = [speed_of(v, radius) for v, _ in lines]
-    fastest = max(speeds)
+    levels = (2**31 - 1) // (math.ceil(7680 / size) * math.ceil(4320 / size)) - 1
     found = []
     for number, crossed in enumerate(crossings(lines, speeds, grid, size)):
         top, left = (number // grid[1]) * size, (number % grid[1]) * size
@@ -124,7 +128,8 @@ def tile_velocities(motion, depth, size, radius):
         first = max(crossed, key=lambda k: (front[k], speeds[k], -k))
         apart = {k: math.hypot(*(lines[k][0] - lines[first][0])) for k in crossed}
         level = {
-            k: math.floor(min(speeds[k], apart[k]) / fastest * 1023) // (1 if front[k] else 20)
+            k: math.floor(min(min(speeds[k], apart[k]) / radius, 1) * levels)
+            // (1 if front[k] else 20)
             for k in crossed
         }
         rest = [k for k in crossed if apart[k] > 1]
