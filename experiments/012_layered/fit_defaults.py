@@ -3,7 +3,7 @@
     python -m experiments.012_layered.fit_defaults -o OUT [--reference-data DIR] [--steps N]
 
 Ten scenes, every other one with curved paths, in two halves. Each half, and then all, are fitted
-from three starts; the fit that gains most counts, and is judged on the other half. With
+from two starts; the fit that gains most counts, and is judged on the other half. With
 DIR (scenes as ``experiments/blender/render_reference.py`` writes them), the fits are judged there
 too, rounded to two digits, as they would be shipped. Writes ``fits.csv`` and ``fits.md`` (what was
 fitted), ``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst
@@ -28,13 +28,12 @@ HALVES = (
     ("zoom", "tracked_car", "crossing", "rotor_over_city", "cubes_on_teapot"),
     ("flagpole", "wheels_at_three_depths", "cube_between_crates", "gears", "rotation_stress"),
 )
-SIZE, SHUTTER, TRUTH_SAMPLES = (90, 160), 1.5, 96
+SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 1.5, 96
 FREE = ("front_sharpness", "landing_tolerance", "own_tolerance", "surface_sharpness", "distinct")
 DEFAULTS, SETTINGS = PUBLISHED["layered"]
 STARTS = {
     "defaults": {},
     "soft": {"front_sharpness": 3.0, "landing_tolerance": 2.0, "own_tolerance": 1.0},
-    "strict": {"front_sharpness": 40.0, "landing_tolerance": 0.5, "own_tolerance": 0.1},
 }
 
 
@@ -97,7 +96,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Fit the defaults of layered.")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
-    parser.add_argument("--steps", type=int, default=40, help="of each fit (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=30, help="of each fit (default %(default)s)")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     first, second = ([load(name, i) for i, name in enumerate(half)] for half in HALVES)

@@ -1,0 +1,267 @@
+"""What holds the rest of the error of `layered`: parts of it, each replaced by the truth.
+
+    python -m experiments.012_layered.remainder -o OUT [--reference-data DIR] [--quick]
+
+On catalogue scenes the truth can be asked: curved paths; the color, at that time, of what is not
+in the frame; where in the frame the point is that is seen then. ``remainder.md`` has PSNR in dB of
+display values as the filter runs, with each of three parts true (350 samples instead of 35,
+paths, what is hidden), with all three, and with every point known too. ``shares.md`` has what
+each takes of the squared error, in that order.
+
+On rendered scenes (DIR, as ``experiments/blender/render_reference.py`` writes them) ``regions.md``
+says where the squared error lies, regions in this order, each without those before:
+
+- unreached: no vector reaches the pixel, so that what changes there is light and shadow,
+- not in the frame: for a tenth of the exposure or more no guess has landed,
+- silhouettes: within 1.5 pixels of a jump of depth,
+- elsewhere.
+
+``--quick`` takes the first catalogue scene only. Nothing is random.
+"""
+
+import argparse
+import dataclasses
+import functools
+import importlib
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+import jaxblur
+from experiments import common
+from jaxblur import metrics, scenes
+from jaxblur.filters import PUBLISHED
+from jaxblur.sampling import read_nearest, read_position
+
+SCENES = (
+    *("cube_between_crates", "cubes_on_teapot", "flagpole"),
+    *("rotor_over_city", "rotation_stress", "crossing"),
+)
+SIZE, SHUTTER, TRUTH_SAMPLES = (144, 256), 1.0, 192
+TIMES, SUBPIXELS, MANY = 33, 8, 350
+PARAMETERS, SETTINGS = PUBLISHED["layered"]
+XLA = dataclasses.replace(SETTINGS, backend="xla")
+MISSING, JUMP = 0.1, 0.05
+
+layered_module = importlib.import_module("jaxblur.filters.layered")
+Slice = Callable[..., tuple[Any, ...]]
+
+
+class Known(NamedTuple):
+    """What the truth says of one exposure, at `TIMES` times spread evenly over it.
+
+    Attributes:
+        times: (T,) frames.
+        stack: (T, H, W, 3) sharp images, linear light.
+    """
+
+    times: np.ndarray
+    stack: np.ndarray
+
+
+def known(scene: scenes.Scene) -> Known:
+    """Render the sharp images."""
+    times = SHUTTER * ((np.arange(TIMES) + 0.5) / TIMES - 0.5)
+    images = [scenes.accumulate(scene, float(t), 0.0, SUBPIXELS, SIZE) for t in times]
+    return Known(times, np.stack(images))
+
+
+@contextmanager
+def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
+    """Let something else complete the slices where no guess has landed.
+
+    Args:
+        complete: maps (count, index, color planes, share that is empty) to the terms of a slice.
+    """
+    whole_slice, visible = layered_module._slice, layered_module._visible
+    noted: list[jax.Array] = []
+
+    def landed_only(*arguments):
+        shares, empty = visible(*arguments)
+        noted.append(empty)
+        return shares, jnp.zeros_like(empty)
+
+    def completed(size, settings, count, index, local, tables):
+        *colors, _ = whole_slice(size, settings, count, index, local, tables)
+        return complete(count, index, colors, noted.pop())
+
+    with (
+        mock.patch.object(layered_module, "_visible", landed_only),
+        mock.patch.object(layered_module, "_slice", completed),
+    ):
+        yield
+
+
+def with_hidden(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
+    """The filter, where nothing lands the true image of that time."""
+    table = jnp.asarray(stack.reshape(-1))
+    height, width = stack.shape[1:3]
+    still = jnp.zeros((height, width, 1))
+
+    def complete(count, index, colors, empty):
+        moment = index * TIMES // count
+        here = read_position(still, still, (height, width), "clamp").index
+        at = (moment * (height * width) + here) * len(colors)
+        true = [read_nearest(table, at + channel) for channel in range(len(colors))]
+        mixed = [color + empty * other for color, other in zip(colors, true, strict=True)]
+        return (*mixed, jnp.ones_like(empty))
+
+    with slices_with(complete):
+        return run(frame, samples)
+
+
+def missing(frame: jaxblur.Frame) -> np.ndarray:
+    """Share of the exposure for which no guess has landed: (H, W)."""
+
+    def complete(count, index, colors, empty):
+        return (*(empty for _ in colors), jnp.ones_like(empty))
+
+    black = dataclasses.replace(frame, color=jnp.zeros_like(jnp.asarray(frame.color)))
+    with slices_with(complete):
+        return np.asarray(run(black, SETTINGS.samples))[..., 0]
+
+
+def run(frame: jaxblur.Frame, samples: int) -> jax.Array:
+    """The filter, traced anew: parts of it may have been replaced."""
+    settings = dataclasses.replace(XLA, samples=samples)
+    function = functools.partial(layered_module.layered.__wrapped__, settings=settings)
+    return jax.jit(lambda frame: function(frame, PARAMETERS))(frame)
+
+
+def every_point(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.ndarray:
+    """The mean over the times of what each point has in the frame; what is hidden, from the truth.
+
+    A point counts as seen in the frame if the same object is there, and the point there gets back
+    to within a pixel.
+    """
+    objects = np.asarray(scenes.object_ids(scene, 0.0, SIZE))
+    color = np.asarray(frame.color)
+    total = np.zeros_like(color)
+    for time, image in zip(truth.times.tolist(), truth.stack, strict=True):
+        way = np.asarray(scenes.displacement(scene, time, -time, SIZE))
+        back = np.asarray(scenes.displacement(scene, 0.0, time, SIZE))
+        x, y = np.moveaxis(way, -1, 0) + np.mgrid[: SIZE[0], : SIZE[1]][::-1]
+        row, column = (np.floor(place + 0.5).astype(int) for place in (y, x))
+        inside = (row >= 0) & (row < SIZE[0]) & (column >= 0) & (column < SIZE[1])
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        same = objects[row, column] == np.asarray(scenes.object_ids(scene, time, SIZE))
+        returns = np.linalg.norm(back[row, column] + way, axis=-1) < 1
+        seen = (inside & same & returns)[..., None]
+        read = [
+            ndimage.map_coordinates(c, (y, x), order=1, mode="nearest")
+            for c in np.moveaxis(color, -1, 0)
+        ]
+        total += np.where(seen, np.stack(read, axis=-1), image)
+    return total / len(truth.times)
+
+
+def mse(image: Any, truth: Any) -> float:
+    """Of display values."""
+    return float(metrics.mse(metrics.display(image), metrics.display(truth)))
+
+
+def decibel(error: float) -> float:
+    """PSNR."""
+    return -10 * float(np.log10(error))
+
+
+def catalogue_errors(name: str) -> dict[str, float]:
+    """Squared error of one scene with parts of it true."""
+    scene = scenes.SCENES[name]()
+    curved = scenes.render(scene, 0.0, SHUTTER, SIZE, path=True)
+    straight = dataclasses.replace(curved, path=None)
+    image = scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, SIZE)
+    truth = known(scene)
+    usual = SETTINGS.samples
+    images = {
+        "as it runs": run(straight, usual),
+        "samples": run(straight, MANY),
+        "paths": run(curved, usual),
+        "hidden": with_hidden(truth.stack, straight, usual),
+        "samples and paths": run(curved, MANY),
+        "all three": with_hidden(truth.stack, curved, MANY),
+        "and every point": every_point(scene, curved, truth),
+    }
+    jax.clear_caches()
+    return {part: mse(shown, image) for part, shown in images.items()}
+
+
+def ladder(errors: dict[str, float]) -> list[float]:
+    """What each part takes of the squared error as it runs, each added to those before."""
+    steps = ("as it runs", "samples", "samples and paths", "all three", "and every point")
+    left = [errors[step] / errors[steps[0]] for step in steps]
+    return [before - after for before, after in itertools.pairwise(left)] + left[-1:]
+
+
+def regions(frame: jaxblur.Frame) -> dict[str, np.ndarray]:
+    """Where a pixel lies, see the module."""
+    log_depth = np.log(np.minimum(np.asarray(frame.depth), 1e9))
+    around = ndimage.maximum_filter(log_depth, 3) - ndimage.minimum_filter(log_depth, 3)
+    parts = {
+        "unreached": ~metrics.motion_footprint(frame),
+        "not in the frame": missing(frame) >= MISSING,
+        # The 3 x 3 neighborhood reaches 1.5 pixels from the jump.
+        "silhouettes": around > JUMP,
+        "elsewhere": np.ones_like(log_depth, bool),
+    }
+    taken = np.zeros_like(log_depth, bool)
+    for name, part in parts.items():
+        parts[name], taken = part & ~taken, taken | part
+    return parts
+
+
+def region_rows(example: common.Example) -> list[list[Any]]:
+    """One row for each region of a rendered scene: shares of pixels and of the error."""
+    shown = [metrics.display(image) for image in (run(example.frame, 35), example.truth)]
+    error = np.square(np.asarray(shown[0]) - np.asarray(shown[1])).mean(axis=-1)
+    rows = []
+    for name, part in regions(example.frame).items():
+        share = float(error[part].sum() / error.sum())
+        inside = decibel(error[part].mean()) if part.any() else float("nan")
+        rows.append([example.name, name, 100 * float(part.mean()), 100 * share, inside])
+    jax.clear_caches()
+    return rows
+
+
+def write_catalogue(output: Path, names: Sequence[str]) -> None:
+    """Measure catalogue scenes and write the two tables."""
+    errors = {}
+    for name in names:
+        errors[name] = catalogue_errors(name)
+        print(name, *(f"{part} {decibel(e):.2f}" for part, e in errors[name].items()), flush=True)
+    parts = list(next(iter(errors.values())))
+    rows = [[name, *map(decibel, row.values())] for name, row in errors.items()]
+    rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
+    common.write_table(output, "remainder", ["scene", *parts], rows)
+    heads = ["noise of 35 samples", "bends", "hidden", "wrong guesses", "color"]
+    shares = [[name, *(100 * s for s in ladder(row))] for name, row in errors.items()]
+    shares.append(["mean", *np.mean([row[1:] for row in shares], axis=0).tolist()])
+    common.write_table(output, "shares", ["scene", *(f"{head}, %" for head in heads)], shares)
+
+
+def main() -> None:
+    """Measure, write tables."""
+    parser = argparse.ArgumentParser(description="What holds the rest of the error of layered.")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="regions of these too")
+    parser.add_argument("--quick", action="store_true", help="the first catalogue scene only")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    write_catalogue(options.output, SCENES[: 1 if options.quick else None])
+    if options.reference_data:
+        examples = common.full_size_examples(options.reference_data)
+        rows = [row for example in examples for row in region_rows(example)]
+        columns = ["scene", "region", "pixels, %", "squared error, %", "PSNR there, dB"]
+        common.write_table(options.output, "regions", columns, rows)
+
+
+if __name__ == "__main__":
+    main()
