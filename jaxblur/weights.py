@@ -5,6 +5,7 @@ Distances and speeds are in pixels. Speeds enter as reciprocals of the floored s
 little as possible. At the bounds of a ``clip`` the derivative is JAX's (half the one-sided one).
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -94,8 +95,7 @@ def relative_closeness(
         f and b, in [0, 1].
     """
     separation = sharpness * (depth_sample - depth_pixel) / jnp.minimum(depth_sample, depth_pixel)
-    separation = jnp.clip(separation, -1, 1)
-    return 1 - jnp.maximum(separation, 0), 1 + jnp.minimum(separation, 0)
+    return _in_front_and_behind(separation)
 
 
 def absolute_closeness(
@@ -118,5 +118,15 @@ def absolute_closeness(
         f and b, in [0, 1].
     """
     # Clamped before the division: a quotient that overflows has a NaN derivative.
-    difference = jnp.clip(depth_sample - depth_pixel, -1e9, 1e9) / extent
-    return jnp.clip(1 - difference, 0, 1), jnp.clip(1 + difference, 0, 1)
+    separation = jnp.clip(depth_sample - depth_pixel, -1e9, 1e9) / extent
+    return _in_front_and_behind(separation)
+
+
+def _in_front_and_behind(separation: Float[Array, "*shape"]) -> tuple[jax.Array, jax.Array]:
+    """``clip(1 - s, 0, 1)`` and ``clip(1 + s, 0, 1)``.
+
+    Which side of 0 a separation is on is asked before 1 is added, which rounds small ones away and
+    with them their derivative.
+    """
+    separation = jnp.clip(separation, -1, 1)
+    return 1 - jnp.maximum(separation, 0), 1 + jnp.minimum(separation, 0)

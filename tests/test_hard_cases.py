@@ -1,6 +1,7 @@
 """Every filter on the hard cases of experiments/008_hard_cases: finite, precise, invariant."""
 
 import importlib
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -105,13 +106,48 @@ def test_finite_differences_tell_a_wrong_derivative():
     assert numbers.wrong > 0.5 and numbers.jumps == 0
 
 
-def test_transformations_change_nothing_but_rounding():
-    rows = transformations.rows(["pixel_velocity"])
-    assert [row[1] for row in rows] == list(transformations.CHECKS)
-    for _, what, difference, equal in rows:
-        assert float(difference) < 1e-5, what
-        if what in ("the same frame twice", "gradient twice") or what.startswith("half"):
-            assert equal == "yes", what
+@pytest.mark.parametrize("what", transformations.CHECKS)
+def test_transformations_change_nothing_but_rounding(what):
+    [(_, _, difference, equal)] = transformations.rows("pixel_velocity", what)
+    assert float(difference) < 1e-5
+    if what in ("the same frame twice", "gradient twice") or what.startswith("half"):
+        assert equal == "yes"
+
+
+def test_every_case_is_measured_once_for_every_filter():
+    labels = [(t.table, *label) for t in experiment.tasks(quick=False) for label in t.labels]
+    assert len(set(labels)) == len(labels)
+    for name in FILTERS:
+        for fetch in experiment.MODES:
+            measured = {label[3] for label in labels if label[:3] == ("hard_cases", name, fetch)}
+            wanted = [c for c in cases.all_cases() if c.group != "shape" or fetch == "bilinear"]
+            assert measured == {case.label for case in wanted}
+        assert ("transformations", name, "4096x2160: a part alone") in labels
+
+
+def test_rows_that_are_there_are_not_measured_again(tmp_path, monkeypatch):
+    column, shape = experiment.COLUMNS, transformations.COLUMNS
+    experiment.write_table(
+        tmp_path, "hard_cases", column, [("a", "b", "c", *["yes"] * 2, *"1" * 7)]
+    )
+    experiment.write_table(tmp_path, "transformations", shape, [])
+    there = experiment.Task("hard_cases", (("a", "b", "c"),), _never)
+    missing = experiment.Task("transformations", (("a", "zoom"),), _a_row)
+    monkeypatch.setattr(
+        experiment, "ProcessPoolExecutor", lambda jobs, mp_context: ThreadPoolExecutor(jobs)
+    )
+    experiment.measure_all(tmp_path, [there, missing], jobs=1)
+    experiment.write(tmp_path, [there, missing])
+    assert "| a | zoom | 0 | yes |" in (tmp_path / "transformations.md").read_text()
+    assert "| c | 1 | yes |" in (tmp_path / "summary.md").read_text()
+
+
+def _never():
+    raise AssertionError("measured again")
+
+
+def _a_row():
+    return [("a", "zoom", "0", "yes")]
 
 
 def test_encodings_differ_where_vectors_are_longer_than_the_radius():

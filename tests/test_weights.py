@@ -56,6 +56,17 @@ def test_absolute_closeness_equals_plain_loops(extent):
         )
 
 
+@pytest.mark.parametrize(("apart", "expected"), [(1e-9, (-10, 0)), (-1e-9, (0, -10))])
+def test_the_side_of_a_small_separation_is_not_rounded_away(apart, expected):
+    """Next to 1 nothing of 1e-8 is left in float32."""
+
+    def closeness(depth):
+        return weights.absolute_closeness(depth, jnp.float32(1e-6), jnp.float32(0.1))
+
+    slopes = jax.jacfwd(closeness)(jnp.float32(1e-6 + apart))
+    np.testing.assert_allclose(slopes, np.abs(expected) * np.array([-1, 1]))
+
+
 def test_scaling_the_depths_changes_nothing():
     near, far = jnp.float32(2.0), jnp.float32(2.3)
     for scale in (1e-3, 1.0, 1e6):

@@ -11,6 +11,7 @@ import numpy as np
 
 import jaxblur
 from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.safe_math import safe_norm
 
 STEP, ASIDE = 1e-7, 1e-3
 """Step of finite differences in float64, and how far beside a kink they are taken; of velocities
@@ -18,6 +19,10 @@ in pixels or as a share of them, of depths and parameters as a share."""
 
 SAME = 1e-3
 """Two derivatives agree within this share of the largest in the image."""
+
+NO_CHANGE = 1e-6
+"""Derivatives by which a full change of the input changes a value (of a parameter: every value) by
+less than this share of the largest color are as good as 0: errors are shares of no less."""
 
 FLIPPED = 1e-4
 """Relative error that rounding alone cannot make: a tap was read one texel further, or a
@@ -47,8 +52,9 @@ class Numbers(NamedTuple):
         error: largest difference between float32 and float64 where nothing flipped, as a share of
             the largest color.
         flipped: share of the values where it is larger than `FLIPPED`.
-        gradient_error: 99th percentile of the same for the reverse-mode gradient beside the
-            kink, as a share of its largest value; the worst input.
+        gradient_error: the same for the reverse-mode gradient beside the kink, in the change that
+            a full change of the input would make: 99th percentile as a share of the largest, or
+            of `NO_CHANGE`; the worst input.
         modes: difference between reverse and forward mode in float64, as a share.
         wrong: share of values beside the kink where the derivative is not the central difference.
         jumps: share of values beside it at which the filter itself jumps within the step.
@@ -108,7 +114,10 @@ def directions(inputs: Inputs, seed: int = 5) -> Inputs:
 def beside(inputs: Inputs) -> Inputs:
     """The inputs moved a little to where no two values are equal, in their own type."""
     moves = directions(inputs, seed=6)
-    moves["velocity"] = moves["velocity"] * (1 + jnp.abs(inputs["velocity"]))
+    # By the speed and not the component: what is far beyond the radius is turned as well.
+    velocity = inputs["velocity"]
+    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+    moves["velocity"] = moves["velocity"] * (1 + speed[..., None])
     free, fixed = _split(inputs)
     moved = jax.tree.map(
         lambda value, move: (value + ASIDE * move).astype(value.dtype), free, moves
@@ -121,8 +130,7 @@ def _split(inputs: Inputs) -> tuple[Inputs, Inputs]:
     return {name: value for name, value in inputs.items() if name != "valid"}, fixed
 
 
-@functools.partial(jax.jit, static_argnames=("setup",))
-def derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array) -> Any:
+def _derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array) -> Any:
     """Value, reverse-mode gradient of its weighted sum, forward-mode derivative."""
     free, fixed = _split(inputs)
     function = functools.partial(_of_free, setup, fixed)
@@ -130,11 +138,17 @@ def derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array) 
     return value, pull(weight.astype(value.dtype))[0], jax.jvp(function, (free,), (moves,))[1]
 
 
+derivatives = jax.jit(_derivatives, static_argnames=("setup",))
+# Programs of the reference run on small frames: what counts is the time to compile them.
+_unoptimized = {"xla_backend_optimization_level": "0"}
+_reference = jax.jit(_derivatives, static_argnames=("setup",), compiler_options=_unoptimized)
+
+
 def _of_free(setup: Setup, fixed: Inputs, free: Inputs) -> jax.Array:
     return call(setup, free | fixed)
 
 
-@functools.partial(jax.jit, static_argnames=("setup",))
+@functools.partial(jax.jit, static_argnames=("setup",), compiler_options=_unoptimized)
 def _at(setup: Setup, inputs: Inputs, moves: Inputs, step: jax.Array) -> jax.Array:
     free, fixed = _split(inputs)
     moved = jax.tree.map(lambda value, move: value + step * move, free, moves)
@@ -151,8 +165,8 @@ def measure(setup: Setup, frame: jaxblur.Frame) -> Numbers:
     with jax.enable_x64(True):
         inputs, near = as_inputs(setup, frame, "float64"), _as_double(near)
         moves = directions(inputs)
-        double = _as_numpy(derivatives(setup, inputs, moves, weight))
-        double_beside = _as_numpy(derivatives(setup, near, moves, weight))
+        double = _as_numpy(_reference(setup, inputs, moves, weight))
+        double_beside = _as_numpy(_reference(setup, near, moves, weight))
         modes = _between_modes(double, moves, np.asarray(weight))
         wrong, jumps = _against_differences(setup, near, moves, double_beside[2])
     scale = max(float(np.abs(np.asarray(inputs["color"])).max()), 1e-30)
@@ -165,7 +179,7 @@ def measure(setup: Setup, frame: jaxblur.Frame) -> Numbers:
         ),
         error=float(np.max(error, initial=0, where=~flipped)),
         flipped=float(flipped.mean()),
-        gradient_error=_gradient_error(single_beside[1], double_beside[1]),
+        gradient_error=_gradient_error(single_beside[1], double_beside[1], near),
         modes=modes,
         wrong=wrong,
         jumps=jumps,
@@ -180,14 +194,31 @@ def _as_double(tree: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), "float64"), tree)
 
 
-def _gradient_error(single: Any, double: Any) -> float:
+def _gradient_error(single: Any, double: Any, inputs: Inputs) -> float:
     """The worst input's 99th percentile of differences, as a share of its largest derivative."""
+    scales = _own_scales(inputs)
+    floor = NO_CHANGE * float(scales["color"])
+    values = np.size(inputs["color"])
     worst = 0.0
-    for ours, reference in zip(jax.tree.leaves(single), jax.tree.leaves(double), strict=True):
-        largest = np.abs(reference).max()
-        if largest > 0:
-            worst = max(worst, float(np.percentile(np.abs(ours - reference), 99) / largest))
+    leaves = (jax.tree.leaves(tree) for tree in (single, double, scales))
+    for ours, reference, scale in zip(*leaves, strict=True):
+        least = floor if reference.ndim else floor * values
+        largest = max(float(np.abs(reference * scale).max()), least)
+        differences = np.abs(ours.astype(np.float64) - reference) * scale
+        worst = max(worst, float(np.percentile(differences, 99) / largest))
     return worst
+
+
+def _own_scales(inputs: Inputs) -> Inputs:
+    """A full change of each input: the largest color, the speed or a pixel, the depth."""
+    velocity, depth = np.asarray(inputs["velocity"]), np.asarray(inputs["depth"])
+    scales: Inputs = {
+        "color": max(float(np.abs(np.asarray(inputs["color"])).max()), 1e-30),
+        "depth": np.where(np.isfinite(depth), depth, 0),
+        "velocity": np.maximum(np.hypot(velocity[..., :1], velocity[..., 1:]), 1),
+        "parameters": {name: np.asarray(value) for name, value in inputs["parameters"].items()},
+    }
+    return scales
 
 
 def _between_modes(double: Any, moves: Inputs, weight: np.ndarray) -> float:

@@ -24,25 +24,19 @@ LARGE, PART = (2160, 4096), (8, 16)
 SETTINGS = jaxblur.Settings(samples=9, radius=6, fetch="bilinear", tile_choice="expected")
 
 
-def rows(names: list[str], large: bool = False) -> list[tuple[str, ...]]:
-    """One row for each filter and transformation.
+def rows(name: str, what: str) -> list[tuple[str, ...]]:
+    """The row of one filter and one transformation.
 
     Args:
-        names: keys of `jaxblur.FILTERS`.
-        large: a frame of 4096x2160 too.
+        name: a key of `jaxblur.FILTERS`.
+        what: a key of `CHECKS` or `LARGE_CHECKS`.
 
     Returns:
-        Rows for `COLUMNS`.
+        Rows for `COLUMNS`, one.
     """
-    found = []
-    for name in names:
-        setup = measuring.Setup(name, SETTINGS)
-        frame = cases.plain_frame()
-        for what, check in CHECKS.items():
-            found.append((name, what, *_compared(*check(setup, frame))))
-        if large:
-            found.append((name, "4096x2160: a part alone", *_compared(*_large(name))))
-    return found
+    check = (CHECKS | LARGE_CHECKS)[what]
+    pair = check(measuring.Setup(name, SETTINGS), cases.plain_frame())
+    return [(name, what, *_compared(*pair))]
 
 
 def _compared(ours: Any, reference: Any) -> tuple[str, str]:
@@ -151,16 +145,16 @@ CHECKS: dict[str, Callable[[Any, Any], tuple[Any, Any]]] = {
 }
 
 
-def _large(name: str) -> tuple[Any, Any]:
+def _large(setup: Any, _: Any) -> tuple[Any, Any]:
     """The corner of a large frame, cut from the result and filtered alone."""
     settings = jaxblur.Settings(samples=9, radius=40, noise="none", tile_choice="own")
-    setup = measuring.Setup(name, settings)
+    setup = measuring.Setup(setup.name, settings)
     inputs = measuring.as_inputs(setup, _large_frame(), "float32")
     start = time.perf_counter()
     whole = np.asarray(measuring.call(setup, inputs))
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"{name} at {LARGE[1]}x{LARGE[0]}: {seconds:.1f} s, {peak:.1f} GB", flush=True)
+    print(f"{setup.name} at {LARGE[1]}x{LARGE[0]}: {seconds:.1f} s, {peak:.1f} GB", flush=True)
     # From the far corner: indices and positions are the largest there.
     top, left = (size - count * 40 - size % 40 for size, count in zip(LARGE, PART, strict=True))
     part = {
@@ -168,7 +162,7 @@ def _large(name: str) -> tuple[Any, Any]:
         for key, value in inputs.items()
     }
     alone = np.asarray(measuring.call(setup, part))
-    # Two tiles of halo: what NeighborMax and the taps see.
+    # Three tiles of halo, more than what any of the filters sees of a neighborhood.
     return whole[top + 120 :, left + 120 :], alone[120:, 120:]
 
 
@@ -177,3 +171,6 @@ def _large_frame() -> jaxblur.Frame:
     color: Any = np.random.default_rng(0).random((*LARGE, 3), np.float32)
     velocity: Any = np.stack([30 * np.cos(rows_ / 80), 25 * np.sin(columns / 90)], axis=-1)
     return jaxblur.Frame(color, 5 + np.sin(columns / 33) + np.cos(rows_ / 21), velocity)
+
+
+LARGE_CHECKS = {"4096x2160: a part alone": _large}
