@@ -34,6 +34,7 @@ class _Plan(NamedTuple):
     """What is fixed when a sum is traced."""
 
     sample: Sample
+    limit: Callable[..., Any] | None
     count: int
     backend: Backend
     structure: Any
@@ -48,67 +49,103 @@ class _Plan(NamedTuple):
 
 
 def gather_samples(
-    stages: Stages, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
-) -> Terms:
-    """Prepare each pixel, sum the terms of its samples, and finish it.
+    stages: Stages,
+    count: int,
+    kept: jax.Array,
+    local: Any,
+    tables: Any,
+    backend: Backend = "auto",
+) -> jax.Array:
+    """Prepare each pixel that moves, sum the terms of its samples, and finish it.
 
-    The same as the three stages one after the other with `sum_samples` between them; native code
-    does all three in one pass over the pixels that move.
+    The same as the stages one after the other with `sum_samples` between them; native code does
+    all of them in one pass over the pixels.
 
     Args:
-        stages: ``prepare(local, tables)`` gives a pytree of (H, W, 1) planes and scalars;
+        stages: ``moving(local, tables)`` gives a (H, W, 1) bool plane, the pixels that are
+            computed; ``prepare(local, tables)`` a pytree of (H, W, 1) planes and scalars;
             ``sample(indices (n,), prepared, tables)`` a tuple of (H, W, n) terms;
-            ``finish(sums, prepared, tables)`` a tuple of (H, W, 1) results. Elementwise but for
+            ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results. Elementwise but for
             reads of the tables. Part of the compilation key.
         count: number of samples N.
-        moving: (H, W) bool, the pixels whose results are wanted; those of others are finite and
-            mean nothing.
-        local: pytree of (H, W, 1) planes and scalars.
+        kept: (H, W, K) image, what the other pixels keep, K at most the number R of results;
+            further channels are 0 there.
+        local: pytree of (H, W, K) images, which `sampling.channel` takes apart, and scalars.
         tables: pytree of flat arrays that are read anywhere.
         backend: see `jaxblur.Settings`.
 
     Returns:
-        The results, (H, W) each. Differentiable as `sum_samples`.
+        The results, (H, W, R). Differentiable as `sum_samples`.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     leaves, structure = jax.tree.flatten((local, tables))
-    plan = _Plan(stages.sample, count, backend, structure)
-    return _gather(plan, stages, moving, [jnp.asarray(leaf) for leaf in leaves])
+    plan = _Plan(stages.sample, stages.limit, count, backend, structure)
+    return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _gather(plan: _Plan, stages: Stages, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+def _gather(plan: _Plan, stages: Stages, kept: jax.Array, leaves: list[jax.Array]) -> jax.Array:
     """The results, without derivatives."""
-    native = native_gather(stages, plan.count, _size(moving), plan.operands(leaves), plan.backend)
+    native = native_gather(
+        *(stages, plan.count, _size(kept), plan.operands(leaves), plan.backend),
+        kept.shape[-1],
+    )
+
+    def by_stages(backend, *operands):
+        moving, results = _by_stages(plan._replace(backend=backend), stages, operands[:-1])
+        return _select(moving, results, operands[-1])
+
     if native is None:
-        return _gather_by_stages(plan, stages, moving, *leaves)
-    by_stages = functools.partial(_gather_by_stages, plan._replace(backend="xla"), stages)
-    return lax.platform_dependent(moving, *leaves, cpu=native, default=by_stages)
+        return by_stages(plan.backend, *leaves, kept)
+    return lax.platform_dependent(
+        *(*leaves, kept),
+        cpu=lambda *operands: native(*operands)[0],
+        default=functools.partial(by_stages, "xla"),
+    )
 
 
-def _gather_by_stages(plan: _Plan, stages: Stages, moving: jax.Array, *leaves: jax.Array) -> Terms:
-    """One stage after the other."""
+def _select(moving: jax.Array, results: jax.Array, kept: jax.Array) -> jax.Array:
+    """Results where something moves; elsewhere what is kept, and 0 beyond its channels."""
+    missing = results.shape[-1] - kept.shape[-1]
+    kept = jnp.pad(kept, ((0, 0), (0, 0), (0, missing))) if missing else kept
+    return jnp.where(moving, results, kept)
+
+
+def _by_stages(
+    plan: _Plan, stages: Stages, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Which pixels move (H, W, 1), and their results: one stage after the other."""
     local, tables = plan.operands(leaves)
+    moving = stages.moving(local, tables)
     prepared = stages.prepare(local, tables)
-    sums = sum_samples(stages.sample, plan.count, moving, prepared, tables, plan.backend)
-    results = stages.finish(tuple(total[..., None] for total in sums), prepared, tables)
-    return tuple(result[..., 0] for result in results)
+    sums = sum_samples(stages.sample, plan.count, moving[..., 0], prepared, tables, plan.backend)
+    results = stages.finish(tuple(total[..., None] for total in sums), prepared, local)
+    return moving, jnp.concatenate(results, axis=-1)
 
 
 def _gather_jvp(plan, stages, primals, tangents):
     """Derivatives are those of the stages; only what has a tangent is differentiated."""
-    (moving, leaves), tangents = primals, tangents[1]
+    (kept, leaves), (kept_change, tangents) = primals, tangents
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
     directions = [tangents[k] for k in active]
     if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
-        return _scalar_derivatives(plan, stages, moving, leaves, active, directions)
+        values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
+        moving = stages.moving(*plan.operands(leaves))
+    else:
 
-    def results(values):
-        return _gather_by_stages(plan, stages, moving, *_replaced(leaves, active, values))
+        def results(values):
+            moving, results = _by_stages(plan, stages, _replaced(leaves, active, values))
+            return results, moving
 
-    return jax.jvp(results, ([leaves[k] for k in active],), (directions,))
+        values, change, moving = jax.jvp(
+            results, ([leaves[k] for k in active],), (directions,), has_aux=True
+        )
+        values = _select(moving, values, kept)
+    if isinstance(kept_change, SymbolicZero):
+        kept_change = jnp.zeros_like(kept)
+    return values, _select(moving, change, kept_change)
 
 
 def _carries_derivatives(plan: _Plan, stages: Stages, leaves: Sequence[jax.Array]) -> bool:
@@ -117,16 +154,16 @@ def _carries_derivatives(plan: _Plan, stages: Stages, leaves: Sequence[jax.Array
     return all(jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in jax.tree.leaves(prepared))
 
 
-def _scalar_derivatives(plan, stages, moving, leaves, active, directions):
-    """The results and their change with some scalars, from one kernel: derivatives are planes."""
+def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
+    """The results and their change with some scalars, from one kernel: derivatives are images."""
     augmented = _with_scalar_derivatives(plan, stages, active)
-    planes = _gather(plan, augmented, moving, leaves)
-    size = len(planes) // (1 + len(active))
-    change = [jnp.zeros_like(plane) for plane in planes[:size]]
-    for block, direction in enumerate(directions, start=1):
-        for k in range(size):
-            change[k] = change[k] + planes[block * size + k] * direction
-    return planes[:size], tuple(change)
+    images = _gather(plan, augmented, kept, leaves)
+    size = images.shape[-1] // (1 + len(active))
+    blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
+    change = jnp.zeros_like(blocks[0])
+    for block, direction in zip(blocks[1:], directions, strict=True):
+        change = change + block * direction
+    return blocks[0], change
 
 
 def _with_scalar_derivatives(plan: _Plan, stages: Stages, active: Sequence[int]) -> Stages:
@@ -153,13 +190,13 @@ def _with_scalar_derivatives(plan: _Plan, stages: Stages, active: Sequence[int])
         derivatives = [jax.jvp(terms, (value,), (change,))[1] for change in changes]
         return sum(derivatives, start=tuple(terms(value)))
 
-    def finish(sums, prepared, tables):
+    def finish(sums, prepared, local):
         value, changes = prepared
         size = len(sums) // (1 + len(changes))
         blocks = [sums[k : k + size] for k in range(0, len(sums), size)]
 
         def results(sums, value):
-            return stages.finish(sums, value, tables)
+            return stages.finish(sums, value, local)
 
         derivatives = [
             jax.jvp(results, (blocks[0], value), (block, change))[1]
@@ -167,14 +204,21 @@ def _with_scalar_derivatives(plan: _Plan, stages: Stages, active: Sequence[int])
         ]
         return sum(derivatives, start=tuple(results(blocks[0], value)))
 
-    return Stages(prepare, sample, finish)
+    limit = None if stages.limit is None else lambda prepared: stages.limit(prepared[0])
+    return Stages(stages.moving, prepare, sample, finish, limit)
 
 
 _gather.defjvp(_gather_jvp, symbolic_zeros=True)
 
 
 def sum_samples(
-    sample: Sample, count: int, moving: Any, local: Any, tables: Any, backend: Backend = "auto"
+    sample: Sample,
+    count: int,
+    moving: Any,
+    local: Any,
+    tables: Any,
+    backend: Backend = "auto",
+    limit: Callable[..., Any] | None = None,
 ) -> Terms:
     """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
 
@@ -187,6 +231,7 @@ def sum_samples(
         local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
         tables: pytree of (H * W,) arrays that samples read at other pixels.
         backend: see `jaxblur.Settings`.
+        limit: as that of `Stages`, from local.
 
     Returns:
         A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
@@ -196,7 +241,7 @@ def sum_samples(
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     leaves, structure = jax.tree.flatten((local, tables))
-    plan = _Plan(sample, count, backend, structure)
+    plan = _Plan(sample, limit, count, backend, structure)
     return _sum(plan, moving, [jnp.asarray(leaf) for leaf in leaves])
 
 
@@ -204,12 +249,23 @@ def sum_samples(
 def _sum(plan: _Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The sums, without derivatives."""
     by_xla = functools.partial(_sum_by_xla, plan)
-    stages = Stages(lambda local, _: local, plan.sample, lambda sums, *_: sums)
-    operands = plan.operands(leaves)
-    native = native_gather(stages, plan.count, _size(moving), operands, plan.backend)
+    local, tables = plan.operands(leaves)
+    operands = (moving[..., None], local), tables
+    native = native_gather(_only(plan), plan.count, _size(moving), operands, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
     return lax.platform_dependent(moving, *leaves, cpu=native, default=by_xla)
+
+
+def _only(plan: _Plan) -> Stages:
+    """Stages that do nothing but sum a sample, where a plane says so."""
+    return Stages(
+        moving=lambda local, _: local[0],
+        prepare=lambda local, _: local[1],
+        sample=plan.sample,
+        finish=lambda sums, *_: sums,
+        limit=plan.limit,
+    )
 
 
 def _sum_by_xla(plan: _Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
@@ -227,9 +283,9 @@ def _sum_by_xla(plan: _Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     return lax.cond(jnp.any(moving), sums, lambda *leaves: _zero_sums(plan, leaves), *leaves)
 
 
-def _size(moving: jax.Array) -> tuple[int, int]:
+def _size(image: jax.Array) -> tuple[int, int]:
     """(H, W)."""
-    height, width = moving.shape
+    height, width = image.shape[:2]
     return height, width
 
 
@@ -328,7 +384,7 @@ def _pull(plan: _Plan, active: tuple[int, ...], moving: Any, leaves: Any, images
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
 
     native = native_pull(
-        *(plan.sample, plan.count, _size(moving), plan.operands(leaves), active),
+        *(plan.sample, plan.limit, plan.count, _size(moving), plan.operands(leaves), active),
         *(_shapes(plan, leaves), plan.backend),
     )
     if native is None:

@@ -6,7 +6,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .settings import Border, Fetch
+from .settings import Border, Fetch, Settings
+
+FEWEST = 5
+"""Samples that even the shortest path takes."""
 
 
 class Texels(NamedTuple):
@@ -25,8 +28,22 @@ class Texels(NamedTuple):
     y: Float[Array, "*shape"]
 
 
+def sample_count(reach: Float[Array, "*shape"], settings: Settings) -> Float[Array, "*shape"]:
+    """How many samples a path takes: one every `spacing` pixels, but never more than `samples`.
+
+    Args:
+        reach: half the length of the path in pixels.
+        settings: samples, and a spacing above 0.
+
+    Returns:
+        Whole numbers, at least `FEWEST`.
+    """
+    wanted = jnp.ceil(2 * lax.stop_gradient(reach) / settings.spacing)
+    return jnp.clip(wanted, min(FEWEST, settings.samples), settings.samples)
+
+
 def tap_position(
-    sample: Int[Array, "*i"], count: int, jitter: Float[Array, "*j"]
+    sample: Int[Array, "*i"], count: int | Float[Array, "*c"], jitter: Float[Array, "*j"]
 ) -> Float[Array, "*k"]:
     """Position of a tap on the line, ``t = -1 + 2 (i + 1 + j) / (N + 1)``, in (-1, 1).
 
@@ -40,7 +57,8 @@ def tap_position(
     Returns:
         Signed position; 1 is the end of the line.
     """
-    return (2 * (sample + 1 + jitter) - (count + 1)) / (count + 1)
+    # Symmetric about the middle to the bit, so that a reversed path has the same taps.
+    return ((2 * sample + 1 - count) + 2 * jitter) * (1 / (count + 1))
 
 
 def read_position(
@@ -92,7 +110,7 @@ def read_nearest(
 def read_row(
     table: Float[Array, " elements"], index: Int[Array, "*shape"], width: int
 ) -> tuple[Float[Array, "*shape"], ...]:
-    """Read rows of a flat table; one load on a CPU where the elements of a row are neighbors.
+    """Read rows of a flat table; neighbors in memory come in one piece from the cache.
 
     Args:
         table: (rows * width,) values, row by row.
@@ -104,6 +122,19 @@ def read_row(
     """
     start = index * width
     return tuple(read_nearest(table, start + k) for k in range(width))
+
+
+def channel(image: Float[Array, "height width channels"], k: int) -> Float[Array, "height width 1"]:
+    """A channel of an image as a plane with a trailing sample axis.
+
+    Args:
+        image: (H, W, C).
+        k: number of the channel.
+
+    Returns:
+        (H, W, 1).
+    """
+    return lax.slice_in_dim(image, k, k + 1, axis=2)
 
 
 def color_table(color: Float[Array, "height width channels"]) -> Float[Array, " texels"]:

@@ -5,6 +5,8 @@ index, so that the maximum differentiates: its derivative is that of the vector 
 tie the first vector wins and takes the whole derivative.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,44 +15,49 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from .safe_math import safe_divide, safe_norm, safe_normalize
+from .sampling import channel
 
 # Center first, then row-major: with a strict comparison this is the order of ties.
 RING = ((0, 0), (-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
 
 
 def clamp_speed(
-    velocity: Float[Array, "height width 2"], radius: int
-) -> tuple[Float[Array, "height width 2"], Float[Array, "height width"]]:
+    velocity: Float[Array, "*shape 2"],
+    radius: int,
+    speed: Float[Array, "*shape"] | None = None,
+) -> tuple[Float[Array, "*shape 2"], Float[Array, "*shape"]]:
     """Clamp half-spreads radially to the radius: ``v min(1, r / ||v||)``.
 
     Source: Guertin et al. 2014, section 3.5. Never per component, which would turn vectors.
     The derivative at ``||v|| = r`` is that of the identity.
 
     Args:
-        velocity: (H, W, 2) half-spread in pixels.
+        velocity: (..., 2) half-spread in pixels.
         radius: longest half-spread in pixels.
+        speed: (...) norm of the velocity, where it is known.
 
     Returns:
-        The clamped velocity (H, W, 2), and its speed (H, W) in [0, radius]. All clamped vectors
+        The clamped velocity (..., 2), and its speed (...) in [0, radius]. All clamped vectors
         have the same speed to the bit, so that they tie in a tile maximum.
     """
-    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+    speed = safe_norm(velocity[..., 0], velocity[..., 1]) if speed is None else speed
     too_fast = speed > radius
     scale = jnp.where(too_fast, radius / jnp.where(too_fast, speed, 1), 1)
     return velocity * scale[..., None], jnp.minimum(speed, radius)
 
 
-def _fastest(
-    first: tuple[jax.Array, jax.Array], second: tuple[jax.Array, jax.Array]
+def _faster(
+    longest: float, first: tuple[jax.Array, jax.Array], second: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """The pair with the larger speed; at a tie the one with the smaller index."""
+    """The pair with the larger clamped speed; at a tie the one with the smaller index."""
+    first, second = ((jnp.minimum(speed, longest), index) for speed, index in (first, second))
     take_first = (first[0] > second[0]) | ((first[0] == second[0]) & (first[1] <= second[1]))
     speed = jnp.where(take_first, first[0], second[0])
     return speed, jnp.where(take_first, first[1], second[1])
 
 
 def tile_argmax(
-    speed: Float[Array, "height width"], radius: int
+    speed: Float[Array, "height width"], radius: int, longest: float = np.inf
 ) -> Int[Array, "tile_rows tile_columns"]:
     """Row-major index of the fastest pixel of each ``radius x radius`` tile.
 
@@ -59,6 +66,7 @@ def tile_argmax(
     Args:
         speed: (H, W) in pixels, >= 0.
         radius: tile size in pixels.
+        longest: speeds beyond it tie.
 
     Returns:
         (ceil(H / r), ceil(W / r)) indices into the flattened image.
@@ -69,7 +77,7 @@ def tile_argmax(
     _, winner = lax.reduce_window(
         (lax.stop_gradient(speed), index),
         none,
-        _fastest,
+        functools.partial(_faster, longest),
         window_dimensions=(radius, radius),
         window_strides=(radius, radius),
         padding=((0, -height % radius), (0, -width % radius)),
@@ -182,20 +190,20 @@ def dominant_velocity(
     radius: int,
     diagonal: str,
 ) -> Float[Array, "tile_rows tile_columns 2"]:
-    """TileMax, then NeighborMax, of velocities that `clamp_speed` returned with their speeds.
+    """TileMax, then NeighborMax, of velocities clamped as `clamp_speed` does.
 
     Args:
-        velocity: (H, W, 2) clamped half-spread in pixels.
-        speed: (H, W) clamped speed in pixels.
+        velocity: (H, W, 2) half-spread in pixels; clamped or not.
+        speed: (H, W) its norm.
         radius: tile size in pixels.
         diagonal: see `neighbor_argmax`.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels.
     """
-    fastest = tile_argmax(speed, radius)
-    tiles = velocity.reshape(-1, 2)[fastest]
-    winner = neighbor_argmax(tiles, speed.reshape(-1)[fastest], diagonal)
+    fastest = tile_argmax(speed, radius, float(radius))
+    tiles, speed = clamp_speed(velocity.reshape(-1, 2)[fastest], radius, speed.reshape(-1)[fastest])
+    winner = neighbor_argmax(tiles, speed, diagonal)
     return tiles.reshape(-1, 2)[winner]
 
 
@@ -248,16 +256,24 @@ def sample_tiles(
     return jax.scipy.ndimage.map_coordinates(values, coordinates, order=1, mode="nearest")
 
 
-def _local_position(size: int, radius: int) -> np.ndarray:
+def _local_position(
+    axis: int, shape: tuple[int, int, int], radius: int
+) -> Float[Array, "height width 1"]:
     """Position inside the tile along one axis, ``u = (x mod r + 0.5) / r``, in (0, 1)."""
-    return (np.arange(size) % radius + 0.5) / radius
+    index = lax.broadcasted_iota(jnp.int32, shape, axis)
+    return (lax.rem(index, jnp.full_like(index, radius)) + 0.5) / radius
+
+
+def _step_out(position: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
+    """-1, 0 or 1: the tile that a position relative to a tile lies in, along one axis."""
+    return jnp.where(position < 0, -1, jnp.where(position >= 1, 1, 0))
 
 
 def stochastic_tile(
     tile_noise: Float[Array, "height width 2"],
     tau: Float[Array, ""],
     radius: int,
-) -> Int[Array, "height width"]:
+) -> Int[Array, "height width 1"]:
     """Row-major index of the tile that each pixel reads, drawn with the given noise.
 
     The lookup moves to ``u + tau xi``. If exactly one axis leaves the tile, that neighbor is
@@ -269,23 +285,21 @@ def stochastic_tile(
         radius: tile size in pixels.
 
     Returns:
-        (H, W) indices into the flattened tile grid.
+        (H, W, 1) indices into the flattened tile grid.
     """
-    height, width = tile_noise.shape[:2]
+    noise_x, noise_y = (channel(tile_noise, axis) for axis in (0, 1))
+    height, width = noise_x.shape[:2]
     rows, columns = -(-height // radius), -(-width // radius)
-    own_row, own_column = np.arange(height)[:, None] // radius, np.arange(width) // radius
-    jitter = tau * tile_noise
-    moved_x = jnp.asarray(_local_position(width, radius), jitter.dtype) + jitter[..., 0]
-    moved_y = jnp.asarray(_local_position(height, radius), jitter.dtype)[:, None] + jitter[..., 1]
-    step_x = jnp.where(moved_x < 0, -1, jnp.where(moved_x >= 1, 1, 0))
-    step_y = jnp.where(moved_y < 0, -1, jnp.where(moved_y >= 1, 1, 0))
+    own_row, own_column = _own_row_and_column(noise_x.shape, radius)
+    step_x = _step_out(_local_position(1, noise_x.shape, radius) + tau * noise_x)
+    step_y = _step_out(_local_position(0, noise_x.shape, radius) + tau * noise_y)
     row, column = own_row + step_y, own_column + step_x
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     leaves = ((step_x == 0) != (step_y == 0)) & inside
     return jnp.where(leaves, row * columns + column, own_row * columns + own_column)
 
 
-def own_tile(height: int, width: int, radius: int) -> Int[Array, "{height} {width}"]:
+def own_tile(height: int, width: int, radius: int) -> Int[Array, "{height} {width} 1"]:
     """Row-major index of the tile that each pixel lies in.
 
     Args:
@@ -294,11 +308,18 @@ def own_tile(height: int, width: int, radius: int) -> Int[Array, "{height} {widt
         radius: tile size in pixels.
 
     Returns:
-        (height, width) indices into the flattened tile grid.
+        (height, width, 1) indices into the flattened tile grid.
     """
-    columns = -(-width // radius)
-    own_row = np.arange(height)[:, None] // radius
-    return jnp.asarray(own_row * columns + np.arange(width) // radius)
+    row, column = _own_row_and_column((height, width, 1), radius)
+    return row * (-(-width // radius)) + column
+
+
+def _own_row_and_column(
+    shape: tuple[int, int, int], radius: int
+) -> tuple[Int[Array, "height width 1"], Int[Array, "height width 1"]]:
+    """Row and column, in the grid, of the tile that each pixel lies in."""
+    y, x = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    return lax.div(y, jnp.full_like(y, radius)), lax.div(x, jnp.full_like(x, radius))
 
 
 def _leaving_probability(
@@ -309,7 +330,7 @@ def _leaving_probability(
     ``w = max(0, 1/2 - d / tau)`` at a distance d (in tiles) from the border; 0 for tau = 0 and
     where there is no tile to step to.
     """
-    local = _local_position(size, radius)
+    local = (np.arange(size) % radius + 0.5) / radius
     step = np.where(local < 0.5, -1, 1)
     distance = np.minimum(local, 1 - local)
     tile = np.arange(size) // radius + step
@@ -337,7 +358,7 @@ def reachable_tiles(
         Indices into the flattened tile grid and probabilities, both (3, height, width) in the
         order own, neighbor along x, neighbor along y.
     """
-    own = own_tile(height, width, radius)
+    own = own_tile(height, width, radius)[..., 0]
     columns = -(-width // radius)
     step_x, chance_x = _leaving_probability(width, radius, tau)
     step_y, chance_y = _leaving_probability(height, radius, tau)

@@ -208,7 +208,12 @@ def test_without_a_compiler_xla_does_the_work(monkeypatch):
 
 def tiny_program(count):
     """A kernel that no other test compiles."""
-    stages = native.Stages(lambda local, _: local, lambda i, a, _: (a * i,), lambda sums, *_: sums)
+    stages = native.Stages(
+        moving=lambda local, _: local > 0,
+        prepare=lambda local, _: local,
+        sample=lambda index, local, _: (local * index,),
+        finish=lambda sums, *_: sums,
+    )
     plane = jax.ShapeDtypeStruct((2, 3, 1), jnp.float32)
     return emit.emit_gather(stages, count, (2, 3), plane, ()).source
 

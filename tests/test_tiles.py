@@ -79,7 +79,7 @@ def test_tile_lookup_equals_plain_loops(shape, tau):
     (height, width), radius, generator = shape, 5, np.random.default_rng(3)
     rows, columns = -(-height // radius), -(-width // radius)
     xi = generator.uniform(-0.5, 0.5, (*shape, 2)).astype(np.float32)
-    drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))
+    drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))[..., 0]
     index, chance = reachable_tiles(height, width, radius, jnp.float32(tau))
     grid = (tau, radius, rows, columns)
     for row, column in np.ndindex(*shape):
@@ -97,7 +97,8 @@ def test_tile_lookup_equals_plain_loops(shape, tau):
 def test_drawn_tiles_have_the_stated_probabilities():
     shape, radius, tau, draws = (12, 12), 6, 0.8, 4000
     xi = np.random.default_rng(4).uniform(-0.5, 0.5, (draws, *shape, 2)).astype(np.float32)
-    drawn = jax.vmap(lambda x: stochastic_tile(x, jnp.float32(tau), radius))(jnp.asarray(xi))
+    draw = jax.vmap(lambda x: stochastic_tile(x, jnp.float32(tau), radius)[..., 0])
+    drawn = draw(jnp.asarray(xi))
     index, chance = reachable_tiles(*shape, radius, jnp.float32(tau))
     for tile in range(4):
         expected = np.sum(np.where(np.asarray(index) == tile, chance, 0), axis=0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import operator
 
 import jax
 import jax.numpy as jnp
@@ -13,10 +14,11 @@ from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
 from ..sample_sums import gather_samples
 from ..sampling import (
-    color_table,
+    channel,
     read_color,
-    read_nearest,
     read_position,
+    read_row,
+    sample_count,
     tap_position,
 )
 from ..settings import Settings
@@ -41,6 +43,8 @@ from .masking import append_mask, divide_by_mask
 
 PERPENDICULAR = 1e-6
 """Cosine of an angle that counts as a right one."""
+MOTION = ("x", "y", "inverse_speed", "depth")
+"""What is known of a pixel's motion, neighbors in memory."""
 REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
 
@@ -74,7 +78,7 @@ def _to_second_direction(index, settings, local):
     if settings.directions == "one":
         return jnp.zeros_like(index, bool)
     if settings.split == "even":
-        return index % 2 == 1
+        return lax.rem(index, jnp.asarray(2, index.dtype)) == 1
     taps = jnp.round(local["share"] * settings.samples)
     return jnp.floor((index + 1) * taps / settings.samples) > jnp.floor(
         index * taps / settings.samples
@@ -113,21 +117,23 @@ def _alignment(second, direction, sample, local):
 
 def _sample(size, settings, index, local, tables):
     """Weighted color, weight and count of a tap (passes 7 and 8)."""
-    position = tap_position(index, settings.samples, local["jitter"])
+    count = local.get("count", settings.samples)
+    position = tap_position(index, count, local["jitter"])
     second = _to_second_direction(index, settings, local)
     direction = [
         jnp.where(second, *pair) for pair in zip(local["center"], local["along"], strict=True)
     ]
     along = position * local["reach"]
     texels = read_position(along * direction[0], along * direction[1], size, settings.border)
-    read = {name: read_nearest(plane, texels.index) for name, plane in tables["weights"].items()}
+    read = dict(zip(MOTION, read_row(tables["motion"], texels.index, len(MOTION)), strict=True))
     alignment = (1, 1)
     if settings.direction_weights == "on":
         alignment = _alignment(second, direction, read, local)
     weight = _weight(jnp.abs(along), *alignment, read, local)
-    weight = jnp.where(texels.counts, weight, 0)
+    counts = texels.counts & (index < count)
+    weight = jnp.where(counts, weight, 0)
     colors = read_color(tables["color"], texels, size, settings.fetch)
-    return (*(weight * color for color in colors), weight, texels.counts.astype(weight.dtype))
+    return (*(weight * color for color in colors), weight, counts.astype(weight.dtype))
 
 
 def _directions(velocity, speed, dominant, gamma):
@@ -147,88 +153,112 @@ def _directions(velocity, speed, dominant, gamma):
     return (along_x, along_y), safe_normalize(center_x, center_y)
 
 
-def _buffers(frame, velocity, speed, tiles, noise, parameters, settings):
-    """What does not depend on the tile that is read: local values, tables."""
-    planes = {
-        "x": velocity[0],
-        "y": velocity[1],
-        "inverse_speed": 1 / floored_speed(speed),
-        "depth": finite_depth(frame.depth),
-    }
-    local = {name: plane[..., None] for name, plane in planes.items()} | {
-        "noise": noise.tap.astype(frame.color.dtype)[..., None],
+def _buffers(frame, speed, tiles, noise, parameters, settings):
+    """Local values and tables of the gather."""
+    velocity, speed = clamp_speed(frame.velocity, settings.radius, speed)
+    planes = (1 / floored_speed(speed), finite_depth(frame.depth))
+    motion = jnp.concatenate([velocity, *(plane[..., None] for plane in planes)], axis=-1)
+    local = {
+        "motion": motion,
+        "color": frame.color,
         "jitter": parameters.eta * parameters.phi / settings.samples,
         "gamma": parameters.gamma,
         "kappa": parameters.kappa,
         "sharpness": parameters.depth_sharpness,
     }
+    if noise is not None or settings.noise != "none":
+        noise = resolve_noise(noise, settings.noise, *frame.depth.shape)
+        local["noise"] = noise.tap.astype(frame.color.dtype)[..., None]
+        local["tile_noise"], local["tau"] = noise.tile, lax.stop_gradient(parameters.tau)
     if settings.split == "variance":
         share = sample_tiles(tile_variance(tiles), settings.radius, *frame.depth.shape)
         local["share"] = share[..., None]
-    weights = {name: plane.reshape(-1) for name, plane in planes.items()}
-    dominant = tuple(tiles[..., axis].reshape(-1) for axis in (0, 1))
-    return local, {"weights": weights, "dominant": dominant, "color": color_table(frame.color)}
+    images = {"motion": motion, "dominant": tiles, "color": frame.color}
+    return local, {name: image.reshape(-1) for name, image in images.items()}
 
 
-def _prepare_pixel(local, tables):
+def _read_dominant(settings, local, tables):
+    """Dominant velocity of the tile that a pixel reads (pass 4)."""
+    if settings.tile_choice == "expected":
+        tile = local["tile"]
+    elif settings.tile_choice == "stochastic" and "noise" in local:
+        tile = stochastic_tile(local["tile_noise"], local["tau"], settings.radius)
+    else:
+        tile = own_tile(*local["motion"].shape[:2], settings.radius)
+    return read_row(tables["dominant"], tile, 2)
+
+
+def _is_moving(settings, local, tables):
+    """Whether anything moves where a pixel looks."""
+    return safe_norm(*_read_dominant(settings, local, tables)) > SPEED_FLOOR
+
+
+def _prepare_pixel(settings, local, tables):
     """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
-    dominant = [read_nearest(component, local["tile"]) for component in tables["dominant"]]
-    velocity, speed = (local["x"], local["y"]), 1 / local["inverse_speed"]
+    dominant = _read_dominant(settings, local, tables)
+    motion = {name: channel(local["motion"], k) for k, name in enumerate(MOTION)}
+    velocity, speed = (motion["x"], motion["y"]), 1 / motion["inverse_speed"]
     along, center = _directions(velocity, speed, dominant, local["gamma"])
-    kept = ("inverse_speed", "depth", "sharpness", "kappa", "share")
-    return {name: local[name] for name in kept if name in local} | {
+    reach = safe_norm(*dominant)
+    kept = ("sharpness", "kappa", "share")
+    prepared = {name: local[name] for name in kept if name in local} | {
+        "inverse_speed": motion["inverse_speed"],
+        "depth": motion["depth"],
         "along": along,
         "center": center,
-        "reach": safe_norm(*dominant),
-        "jitter": local["noise"] * local["jitter"],
+        "reach": reach,
+        "jitter": local["noise"] * local["jitter"] if "noise" in local else jnp.zeros_like(reach),
     }
+    if settings.spacing > 0:
+        prepared["count"] = sample_count(reach, settings)
+    return prepared
 
 
-def _finish_pixel(sums, local, tables):
-    """Color gathered, and the share of the pixel's own color (passes 9 and 10)."""
+def _finish_pixel(sums, prepared, local):
+    """Mix of the color gathered and the pixel's own (passes 9 and 10)."""
     *colors, weight, count = sums
-    center_weight = count * local["inverse_speed"] / local["kappa"]
-    sharp = (local["reach"] <= SPEED_FLOOR) | (count == 0)
+    center_weight = count * prepared["inverse_speed"] / prepared["kappa"]
+    sharp = (prepared["reach"] <= SPEED_FLOOR) | (count == 0)
     total = jnp.where(sharp, 1, weight + center_weight)
-    gathered = (jnp.where(sharp, 0, color / total) for color in colors)
-    return (*gathered, jnp.where(sharp, 1, center_weight / total))
-
-
-def _reconstruct(frame, tile, moving, buffers, settings):
-    """Gather along the two directions of every pixel, for one choice of tile (passes 5 to 10)."""
-    local, tables = buffers
-    sample = functools.partial(_sample, frame.depth.shape, settings)
-    stages = Stages(_prepare_pixel, sample, _finish_pixel)
-    moving = moving.reshape(-1)[tile]
-    *colors, share = gather_samples(
-        *(stages, settings.samples, moving, local | {"tile": tile[..., None]}, tables),
-        settings.backend,
+    share = center_weight / total
+    own = [channel(local["color"], k) for k in range(len(colors))]
+    return tuple(
+        jnp.where(sharp, mine, color / total + share * mine)
+        for color, mine in zip(colors, own, strict=True)
     )
-    blurred = jnp.stack(colors, axis=-1) + share[..., None] * frame.color
-    return jnp.where(moving[..., None], blurred, frame.color)
 
 
-def _tile_choices(height, width, parameters, settings, noise):
+def _reconstruct(frame, local, tables, settings):
+    """Gather along the two directions of every pixel, for one choice of tile (passes 4 to 10)."""
+    stages = Stages(
+        moving=functools.partial(_is_moving, settings),
+        prepare=functools.partial(_prepare_pixel, settings),
+        sample=functools.partial(_sample, frame.depth.shape, settings),
+        finish=_finish_pixel,
+        limit=None if settings.spacing == 0 else operator.itemgetter("count"),
+    )
+    return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
+
+
+def _tile_choices(shape, parameters, settings, noise):
     """The tiles that a pixel may read and their probabilities (pass 4), both (K, H, W)."""
-    tau = jnp.asarray(parameters.tau)
     if settings.tile_choice == "expected":
-        return reachable_tiles(height, width, settings.radius, tau)
-    if settings.tile_choice == "own":
-        tile = own_tile(height, width, settings.radius)
+        return reachable_tiles(*shape, settings.radius, parameters.tau)
+    if settings.tile_choice == "stochastic":
+        tile = stochastic_tile(noise.tile, parameters.tau, settings.radius)
     else:
-        tile = stochastic_tile(noise.tile, tau, settings.radius)
-    return tile[None], jnp.ones((1, height, width), tau.dtype)
+        tile = own_tile(*shape, settings.radius)
+    return tile[None, ..., 0], jnp.ones((1, *shape), parameters.tau.dtype)
 
 
-def _prepare(frame, parameters, settings, noise):
-    """Checked inputs in one dtype, clamped velocities, and the dominant velocities (1 to 3)."""
+def _prepare(frame, parameters, settings):
+    """Checked inputs in one dtype, speeds, and the dominant velocities (passes 1 to 3)."""
     check_parameters(parameters, GuertinParameters)
     frame = check_frame(frame)
-    noise = resolve_noise(noise, settings.noise, *frame.depth.shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    tiles = dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles)
-    return frame, parameters, noise, (velocity[..., 0], velocity[..., 1]), speed, tiles
+    speed = safe_norm(frame.velocity[..., 0], frame.velocity[..., 1])
+    tiles = dominant_velocity(frame.velocity, speed, settings.radius, settings.diagonal_tiles)
+    return frame, parameters, speed, tiles
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
@@ -303,31 +333,31 @@ def tile_outcomes(
     """
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
-    checked, parameters, _, _, _, tiles = _prepare(frame, parameters, settings, noise)
-    moving = safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR
-
-    def choices(noise):
-        height, width = checked.depth.shape
-        return _tile_choices(height, width, parameters, settings, noise)
+    frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
+    size = frame.depth.shape
+    anything = jnp.any(safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR)
 
     def blur_all():
-        # Once more: what a branch takes from outside is computed even if it is not run.
-        _, _, drawn, velocity, speed, _ = _prepare(frame, parameters, settings, noise)
-        buffers = _buffers(checked, velocity, speed, tiles, drawn, parameters, settings)
-
-        def blur(tile):
-            return _reconstruct(checked, tile, moving, buffers, settings)
-
-        indices, _ = choices(drawn)
-        return blur(indices[0])[None] if len(indices) == 1 else lax.map(blur, indices)
+        buffers = _buffers(frame, speed, tiles, noise, parameters, settings)
+        if settings.tile_choice != "expected":
+            return _reconstruct(frame, *buffers, settings)[None]
+        indices, _ = reachable_tiles(*size, settings.radius, parameters.tau)
+        local, tables = buffers
+        return lax.map(
+            lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
+            indices,
+        )
 
     def keep():
         # By a product with one: XLA copies a result that is an operand three times over.
-        color = checked.color * jnp.where(jnp.any(moving), 0, 1).astype(checked.color.dtype)
+        color = frame.color * jnp.where(anything, 0, 1).astype(frame.color.dtype)
         return jnp.broadcast_to(color, (len(chances), *color.shape))
 
-    chances = choices(resolve_noise(noise, settings.noise, *checked.depth.shape))[1]
-    colors = lax.cond(jnp.any(moving), blur_all, keep)
+    if settings.tile_choice == "expected":
+        _, chances = reachable_tiles(*size, settings.radius, parameters.tau)
+    else:
+        chances = jnp.ones((1, *size), frame.color.dtype)
+    colors = lax.cond(anything, blur_all, keep)
     return (divide_by_mask(colors) if masked else colors), chances
 
 
@@ -359,9 +389,10 @@ def luma_hint(
     Raises:
         ValueError: shapes disagree.
     """
-    frame, parameters, noise, _, _, tiles = _prepare(frame, parameters, settings, noise)
+    frame, parameters, _, tiles = _prepare(frame, parameters, settings)
     height, width = frame.depth.shape
-    indices, chances = _tile_choices(height, width, parameters, settings, noise)
+    noise = resolve_noise(noise, settings.noise, height, width)
+    indices, chances = _tile_choices((height, width), parameters, settings, noise)
     reach = safe_norm(tiles[..., 0], tiles[..., 1]).reshape(-1)[indices]
     blurred = jnp.any((reach > SPEED_FLOOR) & (chances > 0), axis=0)
     checker = (jnp.arange(height)[:, None] + jnp.arange(width)) % 2

@@ -14,7 +14,6 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
 from ..noise import Noise, resolve_noise
@@ -207,6 +206,11 @@ def _ways(local, turn, others):
     return ways
 
 
+def _is_moving(local, tables):
+    """Whether a pixel moves, or anything reaches its tile."""
+    return local["moving"]
+
+
 def _prepare(size, local, tables):
     """What the slices of a pixel use as it is."""
     others = _others(local, tables)
@@ -276,7 +280,7 @@ def layered(
     x, y, speed, half = _motion(frame, parameters, settings, log_depth)
     tile_size = fine_tile(settings.radius)
     pixels = reaching_pixels(x, y, speed, log_depth, settings.radius)
-    exists, tile = pixels >= 0, own_tile(height, width, tile_size)
+    exists, tile = pixels >= 0, own_tile(height, width, tile_size)[..., 0]
     vectors = jnp.stack([x.reshape(-1)[pixels], y.reshape(-1)[pixels]], axis=-1)
     vectors = jnp.where(exists[..., None], vectors, 0)
     read = {"x": x, "y": y, "depth": log_depth}
@@ -291,14 +295,15 @@ def layered(
         "depth": log_depth,
         "tile": tile,
         "noise": noise.tap.astype(frame.color.dtype),
+        "moving": (speed > SPEED_FLOOR) | jnp.any(exists, axis=0).reshape(-1)[tile],
     }
     local = jax.tree.map(lambda plane: plane[..., None], planes) | vars(parameters)
     local["color"] = frame.color
     count = settings.samples // GUESSES
     stages = Stages(
-        functools.partial(_prepare, shape),
-        functools.partial(_slice, shape, settings, count),
-        _finish,
+        moving=_is_moving,
+        prepare=functools.partial(_prepare, shape),
+        sample=functools.partial(_slice, shape, settings, count),
+        finish=_finish,
     )
-    moving = (speed > SPEED_FLOOR) | jnp.any(exists, axis=0).reshape(-1)[tile]
-    return gather_samples(stages, count, moving, frame.color, local, tables, settings.backend)
+    return gather_samples(stages, count, frame.color, local, tables, settings.backend)

@@ -112,7 +112,7 @@ def mcguire2012(
     noise = resolve_noise(noise, settings.noise, height, width)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
     tiles = dominant_velocity(velocity, speed, settings.radius, "all").reshape(-1, 2)
-    dominant = tiles[own_tile(height, width, settings.radius)]
+    dominant = tiles[own_tile(height, width, settings.radius)[..., 0]]
     inverse_speed = 1 / floored_speed(speed)
     buffers = {"depth": finite_depth(frame.depth), "inverse_speed": inverse_speed}
     tables: dict[str, Any] = {name: buffer.reshape(-1) for name, buffer in buffers.items()}

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..frame import Frame
-from ..noise import Noise
+from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sampling import tap_position
 from ..settings import Settings
-from ..tiles import sample_tiles, tile_variance
+from ..tiles import clamp_speed, sample_tiles, tile_variance
 from .guertin2014 import (
     GuertinParameters,
     _directions,
@@ -87,11 +87,12 @@ def _taps_at(
 ) -> Taps:
     """Compiled once for all pixels of frames of one size."""
     height, width = frame.depth.shape
-    prepared = _prepare(frame, parameters, settings, noise)
-    frame, parameters, noise, velocity, speed, tiles = prepared
-    indices, chances = _tile_choices(height, width, parameters, settings, noise)
+    frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
+    noise = resolve_noise(noise, settings.noise, height, width)
+    velocity, speed = clamp_speed(frame.velocity, settings.radius, speed)
+    indices, chances = _tile_choices((height, width), parameters, settings, noise)
     dominant = tiles.reshape(-1, 2)[indices[:, row, column]]
-    own = tuple(component[row, column] for component in velocity)
+    own = (velocity[row, column, 0], velocity[row, column, 1])
     along, center = jax.vmap(
         lambda vector: _directions(own, speed[row, column], tuple(vector), parameters.gamma)
     )(dominant)

@@ -19,7 +19,12 @@ Sample = Callable[..., Any]
 
 
 def native_gather(
-    stages: Stages, count: int, size: tuple[int, int], operands: tuple[Any, Any], backend: str
+    stages: Stages,
+    count: int,
+    size: tuple[int, int],
+    operands: tuple[Any, Any],
+    backend: str,
+    kept: int = 0,
 ) -> Callable[..., tuple[jax.Array, ...]] | None:
     """A function that gathers the samples of every pixel on the CPU in native code.
 
@@ -29,19 +34,21 @@ def native_gather(
         size: (H, W).
         operands: (local, tables); only shapes and types are used here.
         backend: ``auto``, ``native`` or ``xla``.
+        kept: channels of an image that pixels keep which do not move; 0 if there is none.
 
     Returns:
-        A function of the moving pixels and the leaves of the operands, or None where XLA has to
-        do it. Its results are 0 at pixels without a moving one nearby.
+        A function of the leaves of the operands, and of the image kept if there is one; None where
+        XLA has to do it. See `emit_gather` for its results.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    return _build(lambda: emit_gather(stages, count, size, *operands), backend)
+    return _build(lambda: emit_gather(stages, count, size, *operands, kept), backend)
 
 
 def native_pull(
     sample: Sample,
+    limit: Callable[..., Any] | None,
     count: int,
     size: tuple[int, int],
     operands: tuple[Any, Any],
@@ -53,6 +60,7 @@ def native_pull(
 
     Args:
         sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays.
+        limit: as that of `Stages`, from local.
         count: as `native_gather`.
         size: as `native_gather`.
         operands: as `native_gather`.
@@ -68,7 +76,7 @@ def native_pull(
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    return _build(lambda: emit_pull(sample, count, size, operands, active, terms), backend)
+    return _build(lambda: emit_pull(sample, limit, count, size, operands, active, terms), backend)
 
 
 def _build(emit: Callable[[], Kernel], backend: str) -> Callable[..., tuple[jax.Array, ...]] | None:
@@ -101,10 +109,10 @@ def _caller(target: str, kernel: Kernel) -> Callable[..., Any]:
     results = [jax.ShapeDtypeStruct(kernel.shapes[k], jnp.float32) for k in order]
     call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
 
-    def run(moving: jax.Array, *leaves: jax.Array) -> tuple[jax.Array, ...]:
+    def run(*leaves: jax.Array) -> tuple[jax.Array, ...]:
         # Flat, so that a plane that is both local and a table is one operand in memory.
-        leaves = tuple(leaf.reshape(-1) if leaf.ndim else leaf for leaf in leaves)
-        values = dict(zip(order, call(moving, *leaves), strict=True))
+        flat = (leaf.reshape(-1) if leaf.ndim else leaf for leaf in leaves)
+        values = dict(zip(order, call(*flat), strict=True))
         return tuple(values[position] for position in range(len(order)))
 
     return run

@@ -24,14 +24,20 @@ class Stages(NamedTuple):
     """What happens at a pixel; elementwise but for reads of the tables.
 
     Attributes:
+        moving: from (local, tables) to a (H, W, 1) bool plane: the pixels that are computed.
         prepare: from (local, tables) to a pytree of (H, W, 1) planes and scalars, once a pixel.
+            Channels of a local image are taken by slices, ``image[..., k : k + 1]``.
         sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms.
-        finish: from (sums (H, W, 1), prepared, tables) to a tuple of (H, W, 1) results.
+        finish: from (sums (H, W, 1), prepared, local) to a tuple of (H, W, 1) results.
+        limit: from prepared to a (H, W, 1) plane: samples from that number on have terms of 0, so
+            that they may be left out; None where all count.
     """
 
+    moving: Callable[..., Any]
     prepare: Callable[..., Any]
     sample: Callable[..., Any]
     finish: Callable[..., Any]
+    limit: Callable[..., Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +46,8 @@ class Kernel:
 
     Attributes:
         source: the program.
-        shapes: of every result in turn: (H, W) for a plane, flat for a table that taps add to.
+        shapes: of every result in turn: (H, W, R) or (H, W) for images, flat for a table that taps
+            add to.
     """
 
     source: str
@@ -52,19 +59,19 @@ class _Program:
 
     Attributes:
         writer: holds what has been written.
-        leaves: value of each operand after the moving pixels.
+        leaves: value of each operand.
     """
 
     def __init__(
-        self, count: int, size: tuple[int, int], operands: Sequence[tuple[Any, bool]]
+        self, count: int, size: tuple[int, int], operands: Sequence[tuple[Any, bool]], kept: int = 0
     ) -> None:
         self.writer = Writer()
-        numbered = enumerate(operands, start=1)
-        pairs = [self.writer.argument(k, leaf, table) for k, (leaf, table) in numbered]
+        pairs = [self.writer.argument(k, *operand) for k, operand in enumerate(operands)]
         self._declarations = [declaration for declaration, _ in pairs]
         self.leaves = [value for _, value in pairs]
+        self._moving: list[str] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
-        self._numbers["ARGUMENT_COUNT"] = len(operands) + 1
+        self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept}
 
     def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
         """Write a function of arrays of these shapes.
@@ -74,6 +81,21 @@ class _Program:
         """
         closed, results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         return self.writer.walk(closed.jaxpr, closed.consts, inputs), results
+
+    def split(self, moving: Value) -> None:
+        """What was written so far tells which pixels move; nothing else is done for the others."""
+        code = moving.code if moving.wide else f"wide({moving.code})"
+        statements = self.writer.statements[Level.PIXEL]
+        self._moving = [*statements, f"const Ints moving = {code};"]
+        statements.clear()
+
+    def stop_at(self, limit: Callable[..., Any] | None, shapes: Any, prepared: Any) -> None:
+        """Leave out the samples from a number on that depends on the pixel."""
+        if limit is None:
+            return
+        (value,), _ = self.write(limit, (shapes,), prepared)
+        code = f"to_ints({value.code})" if value.dtype == "float32" else value.code
+        self.writer.statements[Level.PIXEL].append(f"last = largest({code} & moving);")
 
     def sums(self, terms: Sequence[Value]) -> list[Value]:
         """Sum terms over the samples."""
@@ -98,6 +120,7 @@ class _Program:
         parts = {
             "CONSTANTS": self.writer.constants,
             "ARGUMENTS": self._declarations + statements[Level.UNIFORM],
+            "MOVING": self._moving,
             "PIXEL": statements[Level.PIXEL],
             "SAMPLE": statements[Level.SAMPLE],
             "TAP": statements[Level.TAP],
@@ -105,7 +128,7 @@ class _Program:
         }
         sizes = {"TABLES": len(tables), "TABLE_SIZES": ", ".join(map(str, [*tables, 0]))}
         numbers = self._numbers | sizes | {"RESULTS": len(results)}
-        texts = {name: "\n".join(map(str, lines)) for name, lines in parts.items()}
+        texts = {name: "\n".join(lines) for name, lines in parts.items()}
         source = TEMPLATE.read_text(encoding="utf-8")
         for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
             source = source.replace(f"@{name}@", text)
@@ -124,7 +147,7 @@ def _operands(local: Any, tables: Any) -> list[tuple[Any, bool]]:
 
 
 def emit_gather(
-    stages: Stages, count: int, size: tuple[int, int], local: Any, tables: Any
+    stages: Stages, count: int, size: tuple[int, int], local: Any, tables: Any, kept: int = 0
 ) -> Kernel:
     """Write `jaxblur.sample_sums.gather_samples` in C++.
 
@@ -132,22 +155,27 @@ def emit_gather(
         stages: what happens at a pixel.
         count: number of samples N.
         size: (H, W).
-        local: pytree of (H, W, 1) planes and scalars.
+        local: pytree of (H, W, K) images and scalars.
         tables: pytree of flat arrays.
+        kept: channels of an image that pixels keep which do not move; 0 if there is none.
 
     Returns:
-        The kernel; its operands are the moving pixels, the leaves of local, those of tables. Its
-        results are 0 where no pixel of a block moves.
+        The kernel; its operands are the leaves of local, those of tables, and the image kept if
+        there is one. With one, its result is an image, whose channels beyond those kept are 0
+        where a pixel does not move; else a plane each, 0 where no pixel of a block moves.
 
     Raises:
         Unsupported: a stage uses an operation or a type that has no form in C++ here.
     """
-    program = _Program(count, size, _operands(local, tables))
+    program = _Program(count, size, _operands(local, tables), kept)
     table_values = program.leaves[len(jax.tree.leaves(local)) :]
     shapes, table_shapes = _shaped(local), _shaped(tables)
+    (moving,), _ = program.write(stages.moving, (shapes, table_shapes), program.leaves)
+    program.split(moving)
     prepared, prepared_shapes = program.write(
         stages.prepare, (shapes, table_shapes), program.leaves
     )
+    program.stop_at(stages.limit, prepared_shapes, prepared)
     index = jax.ShapeDtypeStruct((count,), jnp.int32)
     terms, term_shapes = program.write(
         stages.sample,
@@ -158,14 +186,16 @@ def emit_gather(
     sum_shapes = tuple(jax.ShapeDtypeStruct((*size, 1), term.dtype) for term in term_shapes)
     results, _ = program.write(
         stages.finish,
-        (sum_shapes, prepared_shapes, table_shapes),
-        [*sums, *prepared, *table_values],
+        (sum_shapes, prepared_shapes, shapes),
+        [*sums, *prepared, *program.leaves[: len(jax.tree.leaves(local))]],
     )
-    return Kernel(program.kernel(results), (size,) * len(results))
+    shapes = ((*size, len(results)),) if kept else (size,) * len(results)
+    return Kernel(program.kernel(results), shapes)
 
 
 def emit_pull(
     sample: Callable[..., Any],
+    limit: Callable[..., Any] | None,
     count: int,
     size: tuple[int, int],
     operands: tuple[Any, Any],
@@ -176,6 +206,7 @@ def emit_pull(
 
     Args:
         sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays.
+        limit: as that of `Stages`, from local.
         count: number of samples N.
         size: (H, W).
         operands: (local, tables).
@@ -197,11 +228,17 @@ def emit_pull(
         for leaf, table in leaves
     ]
     images = [jax.ShapeDtypeStruct(plane, term.dtype) for term in terms]
-    program = _Program(count, size, leaves + [(image, False) for image in images])
+    moving = jax.ShapeDtypeStruct(plane, jnp.bool_)
+    planes_too = [(moving, False), *leaves, *((image, False) for image in images)]
+    program = _Program(count, size, planes_too)
+    program.split(program.leaves[0])
+    local = jax.tree.leaves(operands[0])
+    local_shapes = jax.tree.unflatten(jax.tree.structure(operands[0]), shapes[: len(local)])
+    program.stop_at(limit, local_shapes, program.leaves[1 : 1 + len(local)])
     results, result_shapes = program.write(
         _pull_one(sample, jax.tree.structure(operands), active),
         (jax.ShapeDtypeStruct((1,), jnp.int32), shapes, images),
-        [_SAMPLE_NUMBER, *program.leaves],
+        [_SAMPLE_NUMBER, *program.leaves[1:]],
     )
     planes = [value for value, shape in zip(results, result_shapes, strict=True) if shape.ndim == 3]
     tables = [

@@ -11,8 +11,6 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from .records import Read
-
 _SCALARS = {"float32": "float", "int32": "int32_t", "bool": "bool"}
 _VECTORS = {"float32": "Floats", "int32": "Ints", "bool": "Ints"}
 _BUFFERS = {"float32": "float", "int32": "int32_t", "bool": "uint8_t"}
@@ -44,24 +42,19 @@ class Value:
         code: the expression, or the name of a variable.
         dtype: name of the array type.
         level: where it is computed.
-        table: elements of an array that samples read at other pixels; 0 for any other value.
+        table: whether it is an array that samples read at other pixels.
+        channels: of an image that a pixel reads at its own place only; 0 for any other value.
         number: what it is, where that is known.
-        origin: (expression, whole number) whose sum it is, where that is known.
         additions: (index, value) pairs, where it is a table that taps add to.
     """
 
     code: str
     dtype: str
     level: Level = Level.UNIFORM
-    table: int = 0
+    table: bool = False
+    channels: int = 0
     number: Any = None
-    origin: tuple[str, int] | None = None
     additions: "tuple[tuple[Value, Value], ...]" = ()
-
-    @property
-    def base(self) -> tuple[str, int]:
-        """The expression that it is a known distance from, and the distance."""
-        return self.origin or (self.code, 0)
 
     @property
     def ordered(self) -> bool:
@@ -270,33 +263,21 @@ def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
     return inputs[0] if name == "neg" and zeros[0] else None
 
 
-def _distance(name: str, dtype: Any, inputs: Sequence[Value]) -> tuple[str, int] | None:
-    """Origin of a sum with a known whole number."""
-    if name != "add" or np.dtype(dtype) != np.int32:
-        return None
-    for value, step in (inputs, inputs[::-1]):
-        if step.number is not None and value.wide:
-            expression, distance = value.base
-            return expression, distance + int(step.number)
-    return None
-
-
 class Writer:
     """Collects the statements of each level while walking through jaxprs.
 
     Attributes:
-        statements: by level; strings, and reads that may still grow.
+        statements: by level.
         finishing: set once the samples are done; what a pixel needs then is written after them.
         last_statements: what is written after the samples.
         constants: tables of numbers.
     """
 
     def __init__(self) -> None:
-        self.statements: dict[Level, list[Any]] = {level: [] for level in Level}
+        self.statements: dict[Level, list[str]] = {level: [] for level in Level}
         self.finishing = False
-        self.last_statements: list[Any] = []
+        self.last_statements: list[str] = []
         self.constants: list[str] = []
-        self._reads: dict[tuple[str, str, bool], Read] = {}
         self._names = 0
 
     def _name(self) -> str:
@@ -307,13 +288,10 @@ class Writer:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
         kind = _c_type(dtype, level >= Level.PIXEL)
-        self._place(level).append(f"const {kind} {name} = {code};")
-        return Value(name, dtype, level)
-
-    def _place(self, level: Level) -> list[Any]:
-        """Where statements of a level are written now."""
         late = self.finishing and level == Level.PIXEL
-        return self.last_statements if late else self.statements[level]
+        statements = self.last_statements if late else self.statements[level]
+        statements.append(f"const {kind} {name} = {code};")
+        return Value(name, dtype, level)
 
     def constant(self, value: Any) -> Value:
         """A closed-over array: a number, or one number a sample."""
@@ -362,6 +340,8 @@ class Writer:
             return [_merged(*inputs)]
         if name == "iota":
             return [self._position(parameters)]
+        if name == "slice" and inputs[0].channels:
+            return [self._channel(parameters, inputs[0])]
         dtype = equation.outvars[0].aval.dtype
         if name == "convert_element_type" and inputs[0].number is not None:
             return [_literal(inputs[0].number.astype(dtype))]
@@ -371,18 +351,15 @@ class Writer:
         """An elementwise operation."""
         if name not in OPERATIONS:
             raise Unsupported(f"the operation {name}")
-        if any(value.table or value.additions for value in inputs):
-            raise Unsupported(f"{name} of a whole table")
-        if name == "div" and inputs[0].dtype != "float32":
-            raise Unsupported("div of integers")
+        if any(value.table or value.additions or value.channels for value in inputs):
+            raise Unsupported(f"{name} of a whole table or image")
         if (known := _without_zeros(name, inputs)) is not None:
             return known
         level = Level(functools.reduce(operator.or_, (value.level for value in inputs), 0))
         code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
         if code == inputs[0].code:
             return inputs[0]
-        result = self.define(code, dtype, level)
-        return dataclasses.replace(result, origin=_distance(name, dtype, inputs))
+        return self.define(code, dtype, level)
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""
@@ -390,13 +367,15 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if table.dtype != "float32" or not index.wide:
             raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
-        base, offset = index.base
-        key = (table.code, base, self.finishing and index.level == Level.PIXEL)
-        if key not in self._reads:
-            self._reads[key] = Read(table.code, table.table, base, {})
-            self._place(index.level).append(self._reads[key])
-        name = self._reads[key].names.setdefault(offset, self._name())
-        return Value(name, table.dtype, index.level)
+        return self.define(f"read({table.code}, {index.code})", table.dtype, index.level)
+
+    def _channel(self, parameters: Any, image: Value) -> Value:
+        """A channel of an image, at the pixel itself."""
+        (*corner, channel), last = parameters["start_indices"], parameters["limit_indices"]
+        if any(corner) or last[2] != channel + 1:
+            raise Unsupported("a slice other than of one channel")
+        index = f"own * {image.channels} + {channel}"
+        return self.define(f"read({image.code}, {index})", image.dtype, Level.PIXEL)
 
     def _position(self, parameters: Any) -> Value:
         """Number of the sample, row, or column."""
@@ -415,7 +394,11 @@ class Writer:
         name = f"argument{position}"
         declaration = f"const auto {name} = (const {_BUFFERS[dtype]}*)job->arguments[{position}];"
         if table:
-            return declaration, Value(name, dtype, table=leaf.size)
+            return declaration, Value(name, dtype, table=True)
         if leaf.ndim == 0:
             return declaration, Value(f"{name}[0]", dtype)
+        if leaf.shape[-1] > 1:
+            if dtype != "float32":
+                raise Unsupported(f"images of type {dtype}")
+            return declaration, Value(name, dtype, channels=leaf.shape[-1])
         return declaration, self.define(_LOADS[dtype].format(f"{name} + pixel"), dtype, Level.PIXEL)

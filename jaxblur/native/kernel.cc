@@ -19,7 +19,9 @@ enum {
   WIDTH = @WIDTH@,
   COUNT = @COUNT@,
   SUMS = @SUMS@,
-  RESULTS = @RESULTS@, /* planes */
+  RESULTS = @RESULTS@, /* of a pixel */
+  KEPT = @KEPT@, /* of them that pixels which do not move take from the last argument */
+  ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
   TABLES = @TABLES@, /* results that taps add to anywhere */
 #ifdef __AVX512F__
   LANES = 16, /* pixels of a row that go through the samples together */
@@ -51,6 +53,12 @@ static inline Ints max_int(Ints a, Ints b) { return a > b ? a : b; }
 static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
 static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
+
+static inline int32_t largest(Ints a) {
+  int32_t most = 0;
+  for (int k = 0; k < LANES; ++k) most = a[k] > most ? a[k] : most;
+  return most;
+}
 
 static inline float sign_float(float a) { return a > 0 ? 1.0f : (a < 0 ? -1.0f : a); }
 static inline Floats sign_float(Floats a) {
@@ -105,78 +113,6 @@ static inline Floats read(const float* table, Ints index) {
 }
 #endif
 
-/* Four neighboring elements a lane, each lane from a place of its own: loaded whole and transposed,
-   since a gather instruction takes one element at a time. The last lanes of a part of four fill
-   its columns from left to right. */
-#if defined(__AVX512F__)
-typedef __m512 Rows;
-static inline Rows load_rows(const float* table, const int32_t* index) {
-  const __m256 low = _mm256_insertf128_ps(
-      _mm256_castps128_ps256(_mm_loadu_ps(table + index[0])), _mm_loadu_ps(table + index[4]), 1);
-  const __m256 high = _mm256_insertf128_ps(
-      _mm256_castps128_ps256(_mm_loadu_ps(table + index[8])), _mm_loadu_ps(table + index[12]), 1);
-  return _mm512_insertf32x8(_mm512_castps256_ps512(low), high, 1);
-}
-#define INTERLEAVE(half, bits, a, b) \
-  (Rows) _mm512_unpack##half##_##bits((__m512##bits##_)(a), (__m512##bits##_)(b))
-typedef __m512 __m512ps_;
-typedef __m512d __m512pd_;
-#elif defined(__AVX2__)
-typedef __m256 Rows;
-static inline Rows load_rows(const float* table, const int32_t* index) {
-  return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(table + index[0])),
-                              _mm_loadu_ps(table + index[4]), 1);
-}
-#define INTERLEAVE(half, bits, a, b) \
-  (Rows) _mm256_unpack##half##_##bits((__m256##bits##_)(a), (__m256##bits##_)(b))
-typedef __m256 __m256ps_;
-typedef __m256d __m256pd_;
-#endif
-
-static inline void read_each(const float* table, Ints index, int count, Floats* values) {
-  for (int k = 0; k < count; ++k) values[k] = read(table, index + k);
-}
-static inline void read_row(const float* table, int64_t size, Ints index, int count,
-                            Floats* values) {
-#ifdef INTERLEAVE
-  int32_t places[LANES], last = 0;
-  memcpy(places, &index, sizeof places);
-  const Ints beyond = index > (int32_t)(size - 4);
-  for (int k = 0; k < LANES; ++k) last |= beyond[k];
-  if (!last) {
-    const Rows a = load_rows(table, places), b = load_rows(table, places + 1);
-    const Rows c = load_rows(table, places + 2), d = load_rows(table, places + 3);
-    const Rows ab = INTERLEAVE(lo, ps, a, b), cd = INTERLEAVE(lo, ps, c, d);
-    values[0] = (Floats)INTERLEAVE(lo, pd, ab, cd);
-    values[1] = (Floats)INTERLEAVE(hi, pd, ab, cd);
-    if (count > 2) {
-      const Rows ab_last = INTERLEAVE(hi, ps, a, b), cd_last = INTERLEAVE(hi, ps, c, d);
-      values[2] = (Floats)INTERLEAVE(lo, pd, ab_last, cd_last);
-      if (count > 3) values[3] = (Floats)INTERLEAVE(hi, pd, ab_last, cd_last);
-    }
-    return;
-  }
-#endif
-  read_each(table, index, count, values); /* a load of four would run over the end */
-}
-static inline void read_2(const float* table, int64_t size, Ints index, Floats& a, Floats& b) {
-  Floats values[2];
-  read_row(table, size, index, 2, values);
-  a = values[0], b = values[1];
-}
-static inline void read_3(const float* table, int64_t size, Ints index, Floats& a, Floats& b,
-                          Floats& c) {
-  Floats values[3];
-  read_row(table, size, index, 3, values);
-  a = values[0], b = values[1], c = values[2];
-}
-static inline void read_4(const float* table, int64_t size, Ints index, Floats& a, Floats& b,
-                          Floats& c, Floats& d) {
-  Floats values[4];
-  read_row(table, size, index, 4, values);
-  a = values[0], b = values[1], c = values[2], d = values[3];
-}
-
 /* Lanes beyond the end of a row hold the row's last value; they are never written back. */
 template <typename Wide, typename Element>
 static inline Wide load(const Element* row, int lanes) {
@@ -206,13 +142,30 @@ static inline void add(float* table, Ints index, Floats values, int lanes) {
 static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 @CONSTANTS@
 struct Job {
-  const uint8_t* moving;
+  const float* kept;
   void* const* arguments;
   float* results[RESULTS + 1];
   float* tables[TABLES + 1];
   int threads;
   std::atomic<int> next_row;
 };
+
+/* Results of the lanes that move; what is kept by the others. */
+static inline void store_results(const Job* job, int64_t pixel, Ints moving,
+                                 const Floats* results, int lanes) {
+  if (KEPT == 0) {
+    for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
+    return;
+  }
+  float values[RESULTS + 1][LANES];
+  memcpy(values, results, sizeof values);
+  for (int lane = 0; lane < lanes; ++lane) {
+    float* result = job->results[0] + (pixel + lane) * RESULTS;
+    const float* kept = job->kept + (pixel + lane) * KEPT;
+    for (int k = 0; k < RESULTS; ++k)
+      result[k] = moving[lane] ? values[k][lane] : k < KEPT ? kept[k] : 0.0f;
+  }
+}
 
 static void sum_row(const Job* job, float* const* tables, const int row) {
   (void)tables;
@@ -225,20 +178,21 @@ static void sum_row(const Job* job, float* const* tables, const int row) {
     const int lanes = WIDTH - first < LANES ? WIDTH - first : LANES;
     const int64_t pixel = start + first;
     const Ints x = first + lane_numbers;
-    (void)x, (void)y;
+    const Ints own = (int32_t)pixel + min_int(lane_numbers, wide(lanes - 1));
+    (void)x, (void)y, (void)own;
     Floats results[RESULTS + 1] = {};
-    int any = 0;
-    for (int lane = 0; lane < lanes; ++lane) any |= job->moving[pixel + lane];
-    if (any) {
+@MOVING@
+    if (largest(-moving)) {
       Floats sums[SUMS + 1] = {};
+      int32_t last = COUNT;
 @PIXEL@
-      for (int32_t i = 0; i < COUNT; ++i) {
+      for (int32_t i = 0; i < last; ++i) {
 @SAMPLE@
 @TAP@
       }
 @FINISH@
     }
-    for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
+    store_results(job, pixel, moving, results, lanes);
   }
 }
 
@@ -333,16 +287,17 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
     metadata->api_version.minor_version = XLA_FFI_API_MINOR;
     return nullptr;
   }
-  void* arguments[@ARGUMENT_COUNT@];
-  for (int k = 0; k < @ARGUMENT_COUNT@; ++k)
+  void* arguments[ARGUMENTS + 1];
+  for (int k = 0; k < ARGUMENTS; ++k)
     arguments[k] = ((XLA_FFI_Buffer*)frame->args.args[k])->data;
   Job job;
-  job.moving = (const uint8_t*)arguments[0];
+  job.kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
   job.arguments = arguments;
   job.next_row = 0;
-  for (int k = 0; k < RESULTS; ++k)
+  const int buffers = KEPT ? 1 : RESULTS;
+  for (int k = 0; k < buffers; ++k)
     job.results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
   for (int k = 0; k < TABLES; ++k)
-    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[RESULTS + k])->data;
+    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
   return run(&job) ? nullptr : out_of_memory(frame->api);
 }
