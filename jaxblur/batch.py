@@ -1,11 +1,12 @@
 """`blur_batch`: a filter over a leading axis of frames, in chunks of bounded memory."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -20,14 +21,14 @@ NOISE_AXES = {"tap": 3, "tile": 4}
 
 def blur_batch(
     filter: str | Callable[..., Any],
-    frames: Frame,
+    frames: Frame | Sequence[Frame],
     parameters: Any = None,
     *,
     settings: Settings | None = None,
     noise: Noise | None = None,
     chunk: int = 1,
 ) -> Float[Array, "frames height width channels"]:
-    """Blur frames that are stacked on a leading axis.
+    """Blur frames of one size, stacked on a leading axis or one after the other.
 
     ``vmap`` inside a chunk, ``lax.map`` from chunk to chunk, so that one chunk is in work at a
     time. Memory besides the stacked frames and results, for guertin2014 on three channels, as XLA
@@ -39,7 +40,9 @@ def blur_batch(
     Args:
         filter: a key of `jaxblur.FILTERS`, or one of its functions.
         frames: a `Frame` whose buffers have a leading axis of F frames: color (F, H, W, C),
-            depth (F, H, W), velocity (F, H, W, 2), as ``jax.tree.map(stack, *frames)`` makes it.
+            depth (F, H, W), velocity (F, H, W, 2), as ``jax.tree.map(stack, *frames)`` makes it;
+            or a sequence of frames, of which some may have a path or a mask and others not. Each
+            of these kinds is a batch of its own, in a program of its own.
         parameters: of the filter, the same for all frames; the published ones if None.
         settings: of the filter; the published ones if None.
         noise: replaces the built-in noise: of one frame, used for all, or with a leading axis
@@ -56,15 +59,38 @@ def blur_batch(
     """
     name = filter_name(filter)
     published, published_settings = PUBLISHED[name]
-    _check_batch(frames, noise, chunk)
-    return _blur_batch(
-        frames,
-        published if parameters is None else parameters,
-        noise,
-        name=name,
-        settings=published_settings if settings is None else settings,
-        chunk=chunk,
-    )
+
+    def blur(frames: Frame, noise: Noise | None) -> jax.Array:
+        _check_batch(frames, noise, chunk)
+        return _blur_batch(
+            frames,
+            published if parameters is None else parameters,
+            noise,
+            name=name,
+            settings=published_settings if settings is None else settings,
+            chunk=chunk,
+        )
+
+    return blur(frames, noise) if isinstance(frames, Frame) else _by_kind(blur, frames, noise)
+
+
+def _by_kind(
+    blur: Callable[[Frame, Noise | None], jax.Array], frames: Sequence[Frame], noise: Noise | None
+) -> jax.Array:
+    """Blur the frames that have a path, a mask, both or neither as a batch each; in their order."""
+    _check_sequence(frames, noise)
+    own_noise = noise is not None and has_frame_axis(noise)
+    kinds: dict[Any, list[int]] = {}
+    for number, frame in enumerate(frames):
+        kinds.setdefault(jax.tree.structure(frame), []).append(number)
+    images = []
+    for numbers in kinds.values():
+        batch = jax.tree.map(lambda *buffers: jnp.stack(buffers), *(frames[n] for n in numbers))
+        chosen = jnp.asarray(numbers)
+        own = jax.tree.map(lambda values, of=chosen: values[of], noise) if own_noise else noise
+        images.append(blur(batch, own))
+    places = np.argsort([number for numbers in kinds.values() for number in numbers])
+    return jnp.concatenate(images)[places]
 
 
 @functools.partial(jax.jit, static_argnames=("name", "settings", "chunk"))
@@ -113,6 +139,20 @@ def filter_name(filter: str | Callable[..., Any]) -> str:
     raise ValueError(
         f"`filter` must be one of {', '.join(FILTERS)}, or one of these functions, got {filter!r}."
     )
+
+
+def _check_sequence(frames: Sequence[Frame], noise: Noise | None) -> None:
+    sizes = {jnp.shape(frame.color): number for number, frame in reversed([*enumerate(frames)])}
+    if len(sizes) != 1:
+        listing = ", ".join(f"{size} from number {number}" for size, number in sizes.items())
+        raise ValueError(
+            f"`frames` must be one or more frames of one size, got {listing or 'none'}; blur the "
+            "frames of each size in a call of its own."
+        )
+    if noise is not None and has_frame_axis(noise) and len(noise.tap) != len(frames):
+        raise ValueError(
+            f"`noise` must be of one frame or of all {len(frames)}, got {len(noise.tap)}."
+        )
 
 
 def _check_batch(frames: Frame, noise: Noise | None, chunk: int) -> None:

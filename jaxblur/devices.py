@@ -43,7 +43,7 @@ def blur_frames(
 
     Args:
         filter: as `jaxblur.blur_batch`.
-        frames: as `jaxblur.blur_batch`; any number, the last frame is repeated to fill up.
+        frames: stacked, as `jaxblur.blur_batch`; any number, the last one is repeated to fill up.
         parameters: as `jaxblur.blur_batch`.
         settings: as `jaxblur.blur_batch`.
         noise: as `jaxblur.blur_batch`.

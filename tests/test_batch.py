@@ -1,5 +1,7 @@
 """A filter over a leading axis of frames."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,6 +63,47 @@ def test_noise_is_shared_or_one_for_each_frame():
     assert_close(blur(noises[0]), stack([alone(noises[0])] * 3))
 
 
+def mixed_frames():
+    """As sequences have them: masks where fireflies were ignored, paths where files had them."""
+    frames = some_frames(4)
+    valid = jnp.asarray(np.random.default_rng(4).random(SHAPE) > 0.3)
+    ends = jnp.stack([2 - frames[2].velocity, 2 + frames[2].velocity], axis=2)
+    frames[1] = dataclasses.replace(frames[1], valid=valid)
+    frames[2] = dataclasses.replace(frames[2], path=ends)
+    return frames
+
+
+def assert_equals_loop(filter, frames, noises, batch_noise):
+    """Blur at once and one after the other; return the latter."""
+    parameters = PUBLISHED[filter.__name__][0]
+    loop = [
+        filter(frame, parameters, settings=SETTINGS, noise=noise)
+        for frame, noise in zip(frames, noises, strict=True)
+    ]
+    batch = jaxblur.blur_batch(filter, frames, settings=SETTINGS, noise=batch_noise)
+    assert_close(batch, jnp.stack(loop))
+    return loop
+
+
+def test_some_frames_may_have_masks_and_others_not():
+    frames, noises = mixed_frames(), [random_noise(SHAPE, seed=seed) for seed in range(4)]
+    masked = assert_equals_loop(jaxblur.pixel_velocity, frames, noises, stack(noises))[1]
+    assert_equals_loop(jaxblur.pixel_velocity, frames, [noises[1]] * 4, noises[1])
+    whole = dataclasses.replace(frames[1], valid=None)
+    whole = jaxblur.pixel_velocity(whole, settings=SETTINGS, noise=noises[1])
+    assert np.abs(masked - whole).max() > 0.1, "the mask leaves something out"
+
+
+def test_some_frames_may_have_paths_and_others_not():
+    frames, noise = mixed_frames()[2:], random_noise(SHAPE)
+    loop = assert_equals_loop(jaxblur.layered, frames, [noise] * 2, noise)
+    straight = dataclasses.replace(frames[0], path=None)
+    straight = jaxblur.layered(
+        straight, jaxblur.LayeredParameters(), settings=SETTINGS, noise=noise
+    )
+    assert np.abs(straight - loop[0]).max() > 0.01, "the path does bend"
+
+
 def test_derivatives_are_those_of_the_loop():
     frames, settings = some_frames(3), jaxblur.Settings(samples=2, radius=6)
     batch = stack(frames)
@@ -104,6 +147,15 @@ def test_new_parameters_recompile_nothing():
     [
         ({"filter": "guertin"}, "`filter` must be one of guertin2014"),
         ({"chunk": 0}, "`chunk` must be a whole number from 1, got 0"),
+        ({"frames": []}, "one or more frames of one size, got none"),
+        (
+            {"frames": [*some_frames(2), random_frame((4, 5))]},
+            r"got .*\(4, 5, 3\) from number 2.*\(13, 17, 3\) from number 0",
+        ),
+        (
+            {"frames": some_frames(2), "noise": stack([random_noise(SHAPE)] * 3)},
+            "`noise` must be of one frame or of all 2, got 3",
+        ),
         ({"chunk": 1.5}, "`chunk` must be a whole number"),
         ({"frames": random_frame(SHAPE)}, r"`frames.color` must have 4 axes.*stack the frames"),
         (
