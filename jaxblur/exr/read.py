@@ -166,27 +166,24 @@ def read_buffers(
     raw = _read_data(vector_info, guess.channels, info, group.channels[0])
     raw, still = _finite(vector_info.path, guess.channels, raw, nonfinite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
-    # Damaged values overflow here; the check below or the caller's statistics report them.
-    with np.errstate(invalid="ignore", over="ignore"):
-        displacements = _decode(vector_info, guess, raw, alpha, max_displace, file_shutter)
-        velocity, curve = vectors.to_half_spread(displacements, shutter)
-    velocity = _stopped(velocity, still)
-    curve = None if curve is None else _stopped(curve, still)
+    scale = {"max_displace": max_displace, "file_shutter": file_shutter}
+    velocity, curve = _half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
         _check_speed(velocity, vector_info.path, guess)
 
-    distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
-    channel, kind = None, "flat"
-    if "flat" not in (depth, guess.preset.depth if depth == "auto" else None):
+    if "flat" in (depth, guess.preset.depth if depth == "auto" else None):
+        distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
+        channel, kind = None, "flat"
+    else:
         depth_info = inspect(depth_from) if depth_from else info
         taken = guess.channels if depth_info.path == vector_info.path else ()
         channel = choose_depth(
             depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
         )
         kind = _depth_kind(depth, guess, channel, path)
-        raw_depth = _read_data(depth_info, [channel], info, group.channels[0])
-        lost = _without_depth(depth_info.path, channel, raw_depth, nonfinite)
-        distance = to_distance(raw_depth[..., 0], kind, depth_info.path, channel)
+        raw = _read_data(depth_info, [channel], info, group.channels[0])[..., 0]
+        lost = _without_depth(depth_info.path, channel, raw, nonfinite)
+        distance = to_distance(raw, kind, depth_info.path, channel)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
         valid=~unknown if unknown.any() else None,
@@ -341,26 +338,27 @@ def _window(info: FileInfo, channel: str) -> str:
     return f"{width}x{height} at ({x}, {y})"
 
 
-def _decode(
+def _half_spread(
     info: FileInfo,
     guess: vectors.Guess,
     raw: np.ndarray,
+    still: np.ndarray,
     alpha: np.ndarray | None,
-    max_displace: float | None,
-    file_shutter: float | None,
-) -> vectors.Displacements:
+    shutter: float,
+    scale: dict[str, float | None],
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Velocity and perhaps paths, at rest where they are unknown."""
     *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
-    try:
-        return vectors.to_displacements(
-            raw,
-            guess,
-            size=(height, width),
-            max_displace=max_displace,
-            file_shutter=file_shutter,
-            alpha=alpha,
-        )
-    except ValueError as error:
-        raise JaxblurIOError(info.path, str(error)) from error
+    # Damaged values overflow here; a check or the caller's statistics report them.
+    with np.errstate(invalid="ignore", over="ignore"):
+        try:
+            displacements = vectors.to_displacements(
+                raw, guess, size=(height, width), alpha=alpha, **scale
+            )
+        except ValueError as error:
+            raise JaxblurIOError(info.path, str(error)) from error
+        velocity, curve = vectors.to_half_spread(displacements, shutter)
+    return _stopped(velocity, still), None if curve is None else _stopped(curve, still)
 
 
 def _warn_lossy(info: FileInfo, channel: Channel) -> None:
@@ -403,7 +401,7 @@ _IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
 
 def _without_depth(path: PathLike, name: str, raw: np.ndarray, nonfinite: str) -> np.ndarray:
     """Refuse NaN in depth, or say where it counts as sky."""
-    bad = np.isnan(raw[..., 0])
+    bad = np.isnan(raw)
     if nonfinite == "error":
         _refuse(bad, path, name, "NaN", _IGNORE)
     if bad.any() and nonfinite == "ignore":

@@ -1,0 +1,129 @@
+"""Values that are read: depth of every kind, NaN and infinity, speeds, lossy compression."""
+
+import numpy as np
+import pytest
+
+from jaxblur import exr
+from jaxblur.nonfinite import Ignored
+from tests.exr_files import plain_frame, write_single
+
+
+@pytest.mark.parametrize(
+    ("kind", "stored", "distance"),
+    [
+        ("z", [2, 1e9, 1e10, np.inf, 0], [2, *[np.inf] * 4]),
+        ("-z", [-2, -1e10, -np.inf, 0], [2, *[np.inf] * 3]),
+        ("1/z", [0.5, 0, 4], [2, np.inf, 0.25]),
+        ("normalized-near1", [1, 0.25, 0], [1, 1.75, np.inf]),
+    ],
+)
+def test_depth_becomes_a_positive_distance(tmp_path, kind, stored, distance):
+    channels = plain_frame((1, len(stored)))
+    channels["Z"][0] = stored
+    path = write_single(tmp_path / "a.exr", channels)
+    np.testing.assert_array_equal(exr.read_buffers(path, depth=kind).depth[0], distance)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "message"),
+    [
+        ("z", -3, "Z: 1 of 24 pixels are negative .first at row 1, column 2.; pass depth='-z'"),
+        ("-z", 3, "negative .*pass depth='z'"),
+        ("1/z", -1, "Z: 1 of 24 pixels are negative"),
+        ("1/z", 1e10, "1e9 or more .*pass depth='z'"),
+        ("normalized-near1", 1.5, "above 1 .*pass depth='z'"),
+    ],
+)
+def test_depth_of_another_kind_is_refused(tmp_path, kind, value, message):
+    channels = plain_frame()
+    channels["Z"] = np.full((4, 6), -0.5 if kind == "-z" else 0.5, np.float32)
+    channels["Z"][1, 2] = value
+    path = write_single(tmp_path / "a.exr", channels)
+    with pytest.raises(exr.JaxblurIOError, match=message):
+        exr.read_buffers(path, depth=kind)
+
+
+@pytest.mark.parametrize("name", ["G", "velocity.Y"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_non_finite_values_are_refused_or_left_out(tmp_path, name, value):
+    channels = plain_frame()
+    channels[name][2, 3] = channels[name][3, 0] = value
+    path = write_single(tmp_path / "a.exr", channels)
+    message = rf"a.exr: {name}: 2 of 24 pixels are NaN or infinite \(first at row 2, column 3\)"
+    with pytest.raises(exr.JaxblurIOError, match=message):
+        exr.read_frame(path)
+    with pytest.warns(exr.JaxblurIOWarning, match="2 pixels with NaN or infinity in .* ignored"):
+        buffers = exr.read_buffers(path, nonfinite="ignore")
+    assert np.isfinite(buffers.color).all() and np.isfinite(buffers.velocity).all()
+    if name == "G":
+        assert buffers.ignored == Ignored(color=2)
+        assert buffers.valid is not None and np.argwhere(~buffers.valid).tolist() == [
+            [2, 3],
+            [3, 0],
+        ]
+    else:
+        assert buffers.ignored == Ignored(velocity=2) and buffers.valid is None
+        assert (buffers.velocity[2, 3] == 0).all()
+    kept = exr.read_buffers(path, nonfinite="keep")
+    kept_target = kept.color[..., 1] if name == "G" else kept.velocity[..., 1]
+    assert (~np.isfinite(kept_target)).sum() == 2
+
+
+def test_unknown_vectors_rest_whatever_value_stands_for_rest(tmp_path):
+    channels = {name: plain_frame()[name] for name in "RGBZ"}
+    channels |= {f"Velocity.{c}": np.full((4, 6), 0.75, np.float32) for c in "RG"}
+    channels["Velocity.R"][1, 1] = np.nan
+    path = write_single(tmp_path / "a.exr", channels)
+    with pytest.warns(exr.JaxblurIOWarning):
+        frame = exr.read_frame(path, max_displace=8, depth="z", nonfinite="ignore")
+    velocity = np.asarray(frame.velocity)
+    assert (velocity[1, 1] == 0).all()
+    assert (np.delete(velocity.reshape(-1, 2), 7, axis=0) != 0).all()
+
+
+def test_unknown_depth_is_refused_or_sky(tmp_path):
+    channels = plain_frame()
+    channels["Z"][1, 2] = np.nan
+    path = write_single(tmp_path / "a.exr", channels)
+    with pytest.raises(exr.JaxblurIOError, match=r"a.exr: Z: 1 of 24 pixels are NaN"):
+        exr.read_frame(path)
+    with pytest.warns(exr.JaxblurIOWarning, match="1 pixels with NaN in Z"):
+        buffers = exr.read_buffers(path, nonfinite="ignore")
+    assert np.isposinf(buffers.depth[1, 2]) and buffers.ignored == Ignored(depth=1)
+
+
+def test_impossible_speeds_are_refused(tmp_path):
+    channels = plain_frame()
+    channels["velocity.X"][0, 5] = 1e20
+    path = write_single(tmp_path / "a.exr", channels)
+    message = r"velocity.X, velocity.Y: 1 of 24 pixels are faster .*check the preset \(jaxblur\)"
+    with pytest.raises(exr.JaxblurIOError, match=message):
+        exr.read_frame(path)
+
+
+@pytest.mark.parametrize(
+    ("compression", "types", "lossy"),
+    [
+        ("pxr24", "float", ["velocity.X", "velocity.Y", "Z"]),
+        ("pxr24", "half", []),
+        ("b44", "half", ["velocity.X", "velocity.Y", "Z"]),
+        ("b44", "float", []),
+        ("dwaa", "float", ["velocity.Y"]),
+        ("zip", "float", []),
+    ],
+)
+def test_lossy_compression_of_vectors_is_reported_where_it_loses(
+    tmp_path, recwarn, compression, types, lossy
+):
+    plain = plain_frame((64, 64))
+    if types == "half":
+        plain = {name: v.astype(np.float16).astype(np.float32) for name, v in plain.items()}
+    path = write_single(tmp_path / "a.exr", plain, types, compression=compression)
+    data = ["velocity.X", "velocity.Y", "Z"]
+    stored = exr.read_channels(path, data)
+    changed = [name for i, name in enumerate(data) if (stored[..., i] != plain[name]).any()]
+    assert changed == lossy
+    exr.read_buffers(path)
+    reported = [str(warning.message) for warning in recwarn]
+    assert [text.split(": ")[1].split(" is ")[0] for text in reported] == lossy
+    assert all(f"lossy compression ({compression})" in text for text in reported)
