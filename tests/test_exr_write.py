@@ -210,6 +210,23 @@ def files(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+def test_the_time_of_writing_is_not_stored(tmp_path):
+    """So that the same input gives the same bytes, whether its model is dated or not."""
+    channels = plain_frame()
+    exr.write_channels(tmp_path / "undated.exr", channels)
+    undated = (tmp_path / "undated.exr").read_bytes()
+    assert b"capDate" not in undated
+    dated = write_single(tmp_path / "dated.exr", channels).read_bytes()
+    stamp = dated[dated.index(b"capDate") :][:40]
+    for name in ("undated", "dated"):
+        image = exr.read_image(tmp_path / f"{name}.exr")
+        exr.write_image(tmp_path / "out.exr", image, like=tmp_path / f"{name}.exr")
+        written = (tmp_path / "out.exr").read_bytes()
+        assert stamp in written if name == "dated" else b"capDate" not in written
+    exr.write_image(tmp_path / "alone.exr", image)
+    assert b"capDate" not in (tmp_path / "alone.exr").read_bytes()
+
+
 def test_permissions_follow_the_umask(tmp_path):
     old = os.umask(0o027)
     try:

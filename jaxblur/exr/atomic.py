@@ -109,6 +109,10 @@ def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any
     output = oiio.ImageOutput.create(temporary)
     if output is None:
         raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
+    for spec in specs:
+        # Without one the time of writing is stored, and no run gives the bytes of another.
+        if spec.getattribute("DateTime") is None:
+            spec.attribute("DateTime", "")
     first = specs[0] if len(specs) == 1 else tuple(specs)
     check(path, output, output.open(temporary, first))
     try:
