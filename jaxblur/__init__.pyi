@@ -31,6 +31,7 @@ from .planning import (
     plan as plan,
 )
 from .settings import Settings as Settings
+from .sky import turning_sky as turning_sky
 from .tiles import (
     neighbor_max as neighbor_max,
     tile_max as tile_max,

@@ -17,6 +17,7 @@ LOWEST = {
     "nonfinite",
     "safe_math",
     "settings",
+    "sky",
     "srgb",
     "text",
 }

@@ -2,11 +2,13 @@
 
     python -m experiments.012_layered.remainder -o OUT [--reference-data DIR] [--quick]
 
-On catalogue scenes the truth can be asked: curved paths; the color, at that time, of what is not
-in the frame; where in the frame the point is that is seen then. ``remainder.md`` has PSNR in dB of
-display values as the filter runs, with each of three parts true (350 samples instead of 35,
-paths, what is hidden), with all three, and with every point known too. ``shares.md`` has what
-each takes of the squared error, in that order.
+On catalogue scenes the truth can be asked: curved paths; where in the frame the point is that is
+seen at a time; its color then, if the frame does not show it. ``remainder.md`` has PSNR in dB of
+display values as the filter runs, then with each of these alone: 350 samples instead of 35; curved
+paths; where no guess lands, points that are in the frame ("missed"), and points that are not
+("hidden"); then with one after the other; last with every point, whether a guess lands or not.
+``shares.md`` has what each takes of the squared error in that order; what is left over is the
+color of points, which light and neighbors in the pixel change.
 
 On rendered scenes (DIR, as ``experiments/blender/render_reference.py`` writes them) ``regions.md``
 says where the squared error lies, regions in this order, each without those before:
@@ -79,7 +81,8 @@ def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
     """Let something else complete the slices where no guess has landed.
 
     Args:
-        complete: maps (count, index, color planes, share that is empty) to the terms of a slice.
+        complete: maps (count, index, color planes of what has landed, share for which nothing
+            has, color planes and weight as the filter has them) to the terms of a slice.
     """
     whole_slice, visible = layered_module._slice, layered_module._visible
     noted: list[jax.Array] = []
@@ -89,9 +92,12 @@ def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
         noted.append(empty)
         return shares, jnp.zeros_like(empty)
 
-    def completed(size, settings, count, index, local, tables):
-        *colors, _ = whole_slice(size, settings, count, index, local, tables)
-        return complete(count, index, colors, noted.pop())
+    def completed(*arguments):
+        with mock.patch.object(layered_module, "_visible", visible):
+            usual = whole_slice(*arguments)
+        *colors, _ = whole_slice(*arguments)
+        count, index = arguments[2:4]
+        return complete(count, index, colors, noted.pop(), usual)
 
     with (
         mock.patch.object(layered_module, "_visible", landed_only),
@@ -100,19 +106,21 @@ def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
         yield
 
 
-def with_hidden(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
-    """The filter, where nothing lands the true image of that time."""
+def told(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
+    """The filter; where nothing lands, what is told of that time, if it is not NaN."""
     table = jnp.asarray(stack.reshape(-1))
     height, width = stack.shape[1:3]
     still = jnp.zeros((height, width, 1))
 
-    def complete(count, index, colors, empty):
+    def complete(count, index, colors, empty, usual):
         moment = index * TIMES // count
         here = read_position(still, still, (height, width), "clamp").index
         at = (moment * (height * width) + here) * len(colors)
         true = [read_nearest(table, at + channel) for channel in range(len(colors))]
+        is_told = jnp.isfinite(true[0])
         mixed = [color + empty * other for color, other in zip(colors, true, strict=True)]
-        return (*mixed, jnp.ones_like(empty))
+        terms = zip((*mixed, jnp.ones_like(empty)), usual, strict=True)
+        return tuple(jnp.where(is_told, term, other) for term, other in terms)
 
     with slices_with(complete):
         return run(frame, samples)
@@ -121,7 +129,7 @@ def with_hidden(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Ar
 def missing(frame: jaxblur.Frame) -> np.ndarray:
     """Share of the exposure for which no guess has landed: (H, W)."""
 
-    def complete(count, index, colors, empty):
+    def complete(count, index, colors, empty, usual):
         return (*(empty for _ in colors), jnp.ones_like(empty))
 
     black = dataclasses.replace(frame, color=jnp.zeros_like(jnp.asarray(frame.color)))
@@ -136,16 +144,16 @@ def run(frame: jaxblur.Frame, samples: int) -> jax.Array:
     return jax.jit(lambda frame: function(frame, PARAMETERS))(frame)
 
 
-def every_point(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.ndarray:
-    """The mean over the times of what each point has in the frame; what is hidden, from the truth.
+def points_in_frame(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.ndarray:
+    """What is seen at each time, as the sharp frame shows it, NaN where that does not show it.
 
-    A point counts as seen in the frame if the same object is there, and the point there gets back
-    to within a pixel.
+    A point is in the frame if the same object is there, and the point there gets back to within a
+    pixel.
     """
     objects = np.asarray(scenes.object_ids(scene, 0.0, SIZE))
-    color = np.asarray(frame.color)
-    total = np.zeros_like(color)
-    for time, image in zip(truth.times.tolist(), truth.stack, strict=True):
+    color = np.moveaxis(np.asarray(frame.color), -1, 0)
+    images = []
+    for time in truth.times.tolist():
         way = np.asarray(scenes.displacement(scene, time, -time, SIZE))
         back = np.asarray(scenes.displacement(scene, 0.0, time, SIZE))
         x, y = np.moveaxis(way, -1, 0) + np.mgrid[: SIZE[0], : SIZE[1]][::-1]
@@ -154,13 +162,10 @@ def every_point(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.n
         row, column = np.where(inside, row, 0), np.where(inside, column, 0)
         same = objects[row, column] == np.asarray(scenes.object_ids(scene, time, SIZE))
         returns = np.linalg.norm(back[row, column] + way, axis=-1) < 1
+        read = [ndimage.map_coordinates(c, (y, x), order=1, mode="nearest") for c in color]
         seen = (inside & same & returns)[..., None]
-        read = [
-            ndimage.map_coordinates(c, (y, x), order=1, mode="nearest")
-            for c in np.moveaxis(color, -1, 0)
-        ]
-        total += np.where(seen, np.stack(read, axis=-1), image)
-    return total / len(truth.times)
+        images.append(np.where(seen, np.stack(read, axis=-1), np.nan))
+    return np.stack(images).astype(np.float32)
 
 
 def mse(image: Any, truth: Any) -> float:
@@ -180,15 +185,19 @@ def catalogue_errors(name: str) -> dict[str, float]:
     straight = dataclasses.replace(curved, path=None)
     image = scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, SIZE)
     truth = known(scene)
+    points = points_in_frame(scene, straight, truth)
+    everything = np.where(np.isfinite(points), points, truth.stack)
     usual = SETTINGS.samples
     images = {
         "as it runs": run(straight, usual),
         "samples": run(straight, MANY),
         "paths": run(curved, usual),
-        "hidden": with_hidden(truth.stack, straight, usual),
+        "missed": told(points, straight, usual),
+        "hidden": told(np.where(np.isfinite(points), np.nan, truth.stack), straight, usual),
         "samples and paths": run(curved, MANY),
-        "all three": with_hidden(truth.stack, curved, MANY),
-        "and every point": every_point(scene, curved, truth),
+        "and missed": told(points, curved, MANY),
+        "and hidden": told(everything, curved, MANY),
+        "and every point": everything.mean(axis=0),
     }
     jax.clear_caches()
     return {part: mse(shown, image) for part, shown in images.items()}
@@ -196,8 +205,8 @@ def catalogue_errors(name: str) -> dict[str, float]:
 
 def ladder(errors: dict[str, float]) -> list[float]:
     """What each part takes of the squared error as it runs, each added to those before."""
-    steps = ("as it runs", "samples", "samples and paths", "all three", "and every point")
-    left = [errors[step] / errors[steps[0]] for step in steps]
+    steps = ("as it runs", "samples", "samples and paths", "and missed", "and hidden")
+    left = [errors[step] / errors[steps[0]] for step in (*steps, "and every point")]
     return [before - after for before, after in itertools.pairwise(left)] + left[-1:]
 
 
@@ -241,7 +250,7 @@ def write_catalogue(output: Path, names: Sequence[str]) -> None:
     rows = [[name, *map(decibel, row.values())] for name, row in errors.items()]
     rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
     common.write_table(output, "remainder", ["scene", *parts], rows)
-    heads = ["noise of 35 samples", "bends", "hidden", "wrong guesses", "color"]
+    heads = ["noise of 35 samples", "bends", "missed", "hidden", "wrong guesses", "color"]
     shares = [[name, *(100 * s for s in ladder(row))] for name, row in errors.items()]
     shares.append(["mean", *np.mean([row[1:] for row in shares], axis=0).tolist()])
     common.write_table(output, "shares", ["scene", *(f"{head}, %" for head in heads)], shares)
