@@ -8,6 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxblur
+from jaxblur.exr import inspect, read_image
+from jaxblur.filters import PUBLISHED
+from tests.command_line import run
+from tests.exr_files import CAR, plain_frame, write_single
 
 SIZE, FOCAL = (60, 96), 90.0
 SKY = np.broadcast_to(np.arange(60)[:, None] < 18, SIZE)
@@ -93,3 +97,26 @@ def test_buffers_of_different_sizes_are_refused():
     frame = dataclasses.replace(world()[0], velocity=jnp.zeros((60, 95, 2)))
     with pytest.raises(ValueError, match=r"`frame\.velocity` must have shape"):
         jaxblur.turning_sky(frame)
+
+
+def test_the_command_line_turns_the_sky_where_asked_to_and_says_so(tmp_path):
+    frame, _ = world()
+    channels = plain_frame(SIZE) | {"Z": np.asarray(frame.depth)}
+    channels |= {
+        f"velocity.{axis}": np.asarray(frame.velocity[..., k]) for k, axis in enumerate("XY")
+    }
+    file, out = write_single(tmp_path / "in.exr", channels), tmp_path / "out.exr"
+    outcome = run("blur", file, "-o", out, "--sky", "camera", "--filter", "pixel_velocity")
+    assert outcome.status == 0, outcome.err
+    assert "turns with the camera, half-spread" in outcome.err
+    turned = jaxblur.turning_sky(jaxblur.read_frame(file))
+    _, settings = PUBLISHED["pixel_velocity"]
+    expected = np.asarray(jaxblur.pixel_velocity(turned, None, settings=settings))
+    np.testing.assert_allclose(read_image(out), expected, rtol=1e-3, atol=1e-3)
+    assert 'sky = "camera"' in inspect(out).parts[0].attributes["jaxblur:settings"]
+
+
+def test_the_command_line_says_that_no_turn_was_found(tmp_path):
+    options = ("--sky", "camera", "--filter", "pixel_velocity")
+    outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *options)
+    assert outcome.status == 0 and "no turn of the camera was found" in outcome.err

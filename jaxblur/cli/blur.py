@@ -110,6 +110,13 @@ def add_source_options(parser: argparse.ArgumentParser) -> None:
         metavar="KIND",
         help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
     )
+    group.add_argument(
+        "--sky",
+        choices=("file", "camera"),
+        default="file",
+        help="velocity of the sky: as in the file, or, where it is zero there, that of the "
+        "camera's turn, estimated from the surfaces (default %(default)s)",
+    )
     add_nonfinite_option(group)
 
 

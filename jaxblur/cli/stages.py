@@ -89,6 +89,8 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     from jaxblur import vectors
 
     buffers = _read_buffers(arguments)
+    if arguments.sky == "camera":
+        buffers = _with_turning_sky(arguments.input, buffers)
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
     return Loaded(
@@ -219,6 +221,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
         "depth": buffers.depth_kind,
+        "sky": arguments.sky,
     }
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
     return {
@@ -263,6 +266,24 @@ def _read_buffers(arguments: argparse.Namespace) -> Any:
     LOG.info("vectors: %s", buffers.guess.reason)
     LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
     return buffers
+
+
+def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
+    """Give the sky the velocity of the camera's turn, and say whether it has one."""
+    import numpy as np
+
+    from jaxblur.frame import Frame
+    from jaxblur.sky import turning_sky
+
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
+    turned = turning_sky(frame)
+    if turned is frame:
+        LOG.info("sky: %s: as in the file; no turn of the camera was found", path)
+        return buffers
+    speeds = np.linalg.norm(np.asarray(turned.velocity)[np.isposinf(buffers.depth)], axis=-1)
+    LOG.info("sky: %s: turns with the camera, half-spread %.1f px", path, speeds.mean())
+    curved = None if turned.path is None else np.asarray(turned.path)
+    return dataclasses.replace(buffers, velocity=np.asarray(turned.velocity), path=curved)
 
 
 def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
