@@ -429,9 +429,10 @@ def test_a_worker_that_dies_loses_nothing_and_doubles_nothing(tmp_path):
         workers = dask_workers(psutil, process.pid)
         workers[0].kill()
         before = len(list(outputs[1].glob("out.*")))
-        _, lines = process.communicate(timeout=100)
+        _, lines = process.communicate(timeout=300)
     assert len(workers) == 2 and before < 60
     assert process.returncode == 0, lines
     done = re.findall(r"frame (\d+) ok", lines)
     assert sorted(map(int, done)) == list(range(1, 61))
+    assert lines.count("color: R, G, B") == 1, "what every frame says is said once"
     assert kills.differences(*outputs) == []

@@ -269,8 +269,9 @@ class _Run:
     def _note(self, outcome: Any, tell: Callable[[str], None]) -> None:
         record = self.records[outcome.job.frame]
         record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
-        for level, text in outcome.messages:
-            LOG.log(level, "%s", text)
+        with about_frame(outcome.job.frame):
+            for level, text in outcome.messages:
+                LOG.log(level, "%s", text)
         if outcome.error is None:
             record |= outcome.result
             record["status"] = "written"

@@ -1,0 +1,61 @@
+"""How far a sequence is, on a terminal and elsewhere."""
+
+import logging
+import os
+import pty
+import re
+import sys
+import time
+
+import pytest
+
+from jaxblur.cli.progress import LOG, about_frame, frame_messages, progress
+
+
+@pytest.fixture(autouse=True)
+def handler(monkeypatch):
+    """As the command line logs; on whatever stderr the test chooses."""
+    monkeypatch.setattr(LOG, "level", logging.INFO)
+    monkeypatch.setattr(LOG, "disabled", False)
+    monkeypatch.setattr(LOG, "propagate", False)
+    LOG.manager._clear_cache()  # pyright: ignore[reportAttributeAccessIssue]
+    handler = logging.StreamHandler()
+    LOG.addHandler(handler)
+    yield handler
+    LOG.removeHandler(handler)
+
+
+def blur_four_frames():
+    with frame_messages(), progress(4) as tell:
+        for frame in range(1, 5):
+            with about_frame(frame):
+                LOG.info("color: R, G, B")
+            time.sleep(0.02)
+            tell(f"frame {frame} ok")
+
+
+def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch, handler):
+    reader, writer = pty.openpty()
+    for name, value in {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "24"}.items():
+        monkeypatch.setenv(name, value)
+    with os.fdopen(writer, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        handler.setStream(terminal)
+        blur_four_frames()
+        shown = os.read(reader, 100_000).decode()
+    os.close(reader)
+    plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", shown)
+    assert re.search(r"frames ━+ +0/4 0.00 frames/s +-:--:-- left", plain)
+    rate = re.search(r"4/4 (\d+\.\d\d) frames/s +0:00:00 left", plain)
+    assert rate and 1 < float(rate[1]) < 60, "no more than 50 frames a second"
+    assert plain.count("\rcolor: R, G, B") == 1
+    assert "frame 1 ok" not in plain
+
+
+def test_elsewhere_each_frame_is_a_line(monkeypatch, capsys, handler):
+    handler.setStream(sys.stderr)
+    blur_four_frames()
+    assert capsys.readouterr().err.splitlines() == [
+        "color: R, G, B",
+        *(f"frame {k} ok [{k}/4, {25 * k}%]" for k in range(1, 5)),
+    ]
