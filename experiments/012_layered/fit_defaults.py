@@ -2,8 +2,8 @@
 
     python -m experiments.012_layered.fit_defaults -o OUT [--reference-data DIR] [--steps N]
 
-Ten scenes, every other one with curved paths, in two halves. Each half, and then all, are fitted
-from two starts; the fit that gains most counts, and is judged on the other half. With
+Ten scenes, every other one with curved paths, in two halves. Each half is fitted from two starts;
+the fit that gains most counts, and is judged on the other half. With
 DIR (scenes as ``experiments/blender/render_reference.py`` writes them), the fits are judged there
 too, rounded to two digits, as they would be shipped. Writes ``fits.csv`` and ``fits.md`` (what was
 fitted), ``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst
@@ -104,13 +104,12 @@ def main() -> None:
     others = {"reference frames": common.full_size_examples(folder)} if folder else {}
     fits, validation = [], []
     parts = {"first half": (first, second), "second half": (second, first)}
-    for label, (training, rest) in (parts | {"all": ([*first, *second], [])}).items():
+    for label, (training, rest) in parts.items():
         values, rows = best_fit(label, training, options.steps)
         fits += rows
         judged = {"fitted": training, "held out": rest} | others
         for kind, examples in judged.items():
-            if examples:
-                validation.append([label, kind, *changes(examples, rounded(values))])
+            validation.append([label, kind, *changes(examples, rounded(values))])
     columns = ["fitted to", "from", *FREE, "gain there, dB"]
     common.write_table(options.output, "fits", columns, fits)
     columns = ["fitted to", "judged on", "defaults, dB", "mean change, dB", "worst change, dB"]

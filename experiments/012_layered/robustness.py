@@ -77,8 +77,10 @@ def border_ratio(error: np.ndarray, size: int, shift: int = 0) -> float:
 
 def seam_row(name: str) -> list[Any]:
     """Ratio at the borders of the tiles, and the least and largest elsewhere."""
-    squared = np.stack([squared_error(name, time) for time in range(SEAM_FRAMES)])
     size = fine_tile(PUBLISHED["layered"][1].radius)
+    # What comes in from outside is not known at the edges of the picture, where tiles end too.
+    inner = (..., slice(2 * size, -2 * size), slice(2 * size, -2 * size))
+    squared = np.stack([squared_error(name, time) for time in range(SEAM_FRAMES)])[inner]
     ratios = [border_ratio(squared, size, shift) for shift in range(size)]
     # Shifted by one pixel the grid shares a line with itself.
     elsewhere = ratios[2:-1]

@@ -1,0 +1,105 @@
+"""What must not show in `layered`: its tiles, and flicker from frame to frame."""
+
+import importlib
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import metrics
+from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters.reaching import fine_tile
+
+robustness = importlib.import_module("experiments.012_layered.robustness")
+
+SIZE = (96, 128)
+TIMES = np.linspace(-1, 1, 201)
+SETTINGS = jaxblur.Settings(radius=40, fetch="bilinear")
+RADIUS = 34.0
+
+
+def pattern(x, y, phase):
+    """A smooth texture, (..., 3) in [0.1, 0.9]."""
+    waves = np.stack([np.sin(x / 4 + phase), np.cos(y / 5), np.sin((x + y) / 6)], axis=-1)
+    return 0.5 + 0.4 * waves
+
+
+def turned(angle):
+    """Where the pixels were before a turn about the middle of the picture."""
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]] + 0.5
+    y, x = row - SIZE[0] / 2, column - SIZE[1] / 2
+    return np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+
+
+def disc_over_wall(spin=0.25, other=-0.12):
+    """A disc that turns before a wall that turns the other way, and the true blur."""
+    x, y = turned(0.0)
+    inside = (np.hypot(x, y) < RADIUS)[..., None]
+
+    def seen(time):
+        return np.where(
+            inside, pattern(*turned(spin * time), 0.0), pattern(*turned(other * time), 2.0)
+        )
+
+    velocity = np.where(inside, spin, other) * np.stack([-y, x], axis=-1)
+    depth = np.where(inside[..., 0], 3.0, 9.0)
+    buffers = (jnp.asarray(plane, jnp.float32) for plane in (seen(0.0), depth, velocity))
+    return jaxblur.Frame(*buffers), np.mean([seen(time) for time in TIMES], axis=0)
+
+
+def test_the_borders_of_tiles_are_like_everything_else():
+    frame, truth = disc_over_wall()
+    blurred = jaxblur.layered(frame, jaxblur.LayeredParameters(), settings=SETTINGS)
+    assert metrics.psnr(blurred, truth) > 30
+    size = fine_tile(SETTINGS.radius)
+    # What comes in from outside is not known at the edges of the picture, where tiles end too.
+    inner = np.s_[2 * size : -2 * size, 2 * size : -2 * size]
+    error = np.square(np.asarray(blurred) - truth).mean(axis=-1)[inner]
+    # Nor are the pixels of the disc's edge, a circle that lies along rows and columns at places.
+    edge = (np.abs(np.hypot(*turned(0.0)) - RADIUS) < 2)[inner]
+    error[edge] = error[~edge].mean()
+    ratios = [robustness.border_ratio(error, size, shift) for shift in range(size)]
+    assert abs(ratios[0] - 1) < 0.1
+    # A hundredth of brightness along the borders would show.
+    on_border = np.arange(error.shape[1]) % size == 0
+    seam = error + np.where(on_border, 0.01**2, 0)
+    assert robustness.border_ratio(seam, size) > 1.5
+
+
+def block_over_wall(start, speed=6.0):
+    """A textured block that moves over a textured wall at rest, and the true blur."""
+    row, column = np.mgrid[:32, :96] + 0.5
+
+    def seen(time):
+        left = start + speed * time
+        inside = ((column > left) & (column < left + 20) & (row > 6) & (row < 26))[..., None]
+        return np.where(inside, pattern(column - left, row, 0.0), pattern(column, row, 2.0)), inside
+
+    color, inside = seen(0.0)
+    velocity = np.where(inside, [speed, 0.0], 0.0)
+    depth = np.where(inside[..., 0], 3.0, 9.0)
+    buffers = (jnp.asarray(plane, jnp.float32) for plane in (color, depth, velocity))
+    return jaxblur.Frame(*buffers), np.mean([seen(time)[0] for time in TIMES], axis=0)
+
+
+def test_no_more_flicker_than_the_published_filter():
+    frames, truths = zip(*(block_over_wall(10.3 + 7.1 * k) for k in range(8)), strict=True)
+    truths = np.stack(truths)
+    flicker = {}
+    for name in ("layered", "guertin2014"):
+        blur, parameters = FILTERS[name], PUBLISHED[name][0]
+        images = np.stack([blur(frame, parameters, settings=SETTINGS) for frame in frames])
+        pairs = metrics.temporal_difference_error(images, truths)
+        flicker[name] = float(np.sqrt(np.mean(np.square(pairs))))
+    change = float(np.sqrt(np.mean(np.square(np.diff(truths, axis=0)))))
+    assert flicker["layered"] < flicker["guertin2014"]
+    assert flicker["layered"] < change / 2
+
+
+@pytest.mark.parametrize("shift", [0, 3])
+def test_the_measure_of_borders_knows_where_they_are(shift):
+    error = np.ones((24, 40))
+    error[:, (np.arange(40) - shift) % 8 == 0] = 5
+    ratios = [robustness.border_ratio(error, 8, k) for k in range(8)]
+    assert ratios[shift] == max(ratios) > 1.5
