@@ -22,7 +22,7 @@ import jaxblur
 from experiments import common
 from jaxblur import metrics
 
-SCENES = ("camera_turn", "camera_dolly", "tracked_car", "opposed", "rotor_over_city", "zoom")
+SCENES = ("camera_turn", "camera_dolly", "tracked_car", "opposed", "rotor_over_city")
 SIZE, SHUTTER, TRUTH_SAMPLES = (144, 256), 1.0, 128
 PARAMETERS = jaxblur.LayeredParameters()
 
