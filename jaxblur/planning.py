@@ -8,7 +8,7 @@ linear rule for each candidate and number of samples,
 with constants from experiments/005_what_a_scene_needs, stored in ``planning_constants.json`` with
 the command that made them, the scenes, and the error of the rule on scenes left out. A loss is a
 difference of PSNR over the pixels that motion reaches, after the display transform, against
-`GuertinParameters` fitted for all components at 35 samples.
+`layered` at 35 samples.
 """
 
 import dataclasses

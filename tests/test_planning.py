@@ -98,16 +98,16 @@ def test_a_still_frame_comes_back_to_the_bit_by_the_quickest_filter():
     np.testing.assert_array_equal(chosen(frame), frame.color)
 
 
-def test_a_uniform_pan_needs_its_own_velocity_alone():
-    chosen = plan(frame_of([8.0, 0.0]))
-    assert chosen.filter == "pixel_velocity" and chosen.settings.samples < 35
+def test_a_uniform_pan_makes_do_with_its_own_velocity_where_some_may_be_lost():
+    chosen = plan(frame_of([8.0, 0.0]), tolerance_db=4.0)
+    assert chosen.filter == "pixel_velocity" and chosen.settings.samples <= 35
 
 
-def test_directions_at_odds_need_both_directions():
+def test_directions_at_odds_need_the_slices_of_time():
     turning = frame_statistics(frame_of(rotation()))
     assert plan(turning).milliseconds >= plan(frame_of([8.0, 0.0])).milliseconds
     at_odds = plan(dataclasses.replace(STATISTICS, angular_variance=0.6))
-    assert at_odds.filter == "guertin2014" and at_odds.settings.directions == "two"
+    assert at_odds.filter == "layered" and at_odds.settings.fetch == "bilinear"
     assert "the angular variance is 0.60" in at_odds.reason
 
 
@@ -193,7 +193,7 @@ def test_stored_candidates_can_be_run(label):
 
 def test_the_full_filter_is_the_measure_of_loss():
     (full,) = [c for c in candidates().values() if not any(c["loss"]) and c["spread"] == 0]
-    assert full["filter"] == "guertin2014" and full["settings"]["samples"] == 35
+    assert full["filter"] == "layered" and full["settings"]["samples"] == 35
 
 
 def test_the_command_line_plans_and_says_why(tmp_path):

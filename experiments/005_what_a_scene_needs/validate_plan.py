@@ -16,6 +16,7 @@ import jax
 import jaxblur
 from experiments import common
 from experiments.common import Example
+from jaxblur.filters import PUBLISHED
 from jaxblur.fitting.objective import draw_noise
 from jaxblur.metrics import display, motion_footprint, psnr
 from jaxblur.planning import constants
@@ -36,7 +37,7 @@ def full_plan(frame: jaxblur.Frame) -> jaxblur.Plan:
     return jaxblur.Plan(
         filter=record["filter"],
         settings=jaxblur.Settings(**record["settings"], radius=statistics.radius),
-        parameters=jaxblur.GuertinParameters(**record["parameters"]),
+        parameters=type(PUBLISHED[record["filter"]][0])(**record["parameters"]),
         reason="the measure of loss",
         loss=0.0,
         spread=0.0,
