@@ -1,4 +1,4 @@
-"""Gathers: what samples along a line give every pixel, and the derivatives of that.
+"""Sums over the samples along a line of every pixel, and the derivatives of that.
 
 A sample is an elementwise function written for a trailing sample axis. On a CPU with a C++
 compiler it becomes a native kernel (`jaxblur.native`); elsewhere all of its terms are summed by
@@ -30,7 +30,7 @@ Terms = tuple[jax.Array, ...]
 Sample = Callable[[jax.Array, Any, Any], Terms]
 
 
-class _Plan(NamedTuple):
+class Plan(NamedTuple):
     """What is fixed when a sum is traced."""
 
     sample: Sample
@@ -46,169 +46,6 @@ class _Plan(NamedTuple):
     def operands(self, leaves: Sequence[Any]) -> tuple[Any, Any]:
         """Leaves as (local, tables)."""
         return jax.tree.unflatten(self.structure, leaves)
-
-
-def gather_samples(
-    stages: Stages,
-    count: int,
-    kept: jax.Array,
-    local: Any,
-    tables: Any,
-    backend: Backend = "auto",
-) -> jax.Array:
-    """Prepare each pixel that moves, sum the terms of its samples, and finish it.
-
-    The same as the stages one after the other with `sum_samples` between them; native code does
-    all of them in one pass over the pixels.
-
-    Args:
-        stages: ``moving(local, tables)`` gives a (H, W, 1) bool plane, the pixels that are
-            computed; ``prepare(local, tables)`` a pytree of (H, W, 1) planes and scalars;
-            ``sample(indices (n,), prepared, tables)`` a tuple of (H, W, n) terms;
-            ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results. Elementwise but for
-            reads of the tables. Part of the compilation key.
-        count: number of samples N.
-        kept: (H, W, K) image, what the other pixels keep, K at most the number R of results;
-            further channels are 0 there.
-        local: pytree of (H, W, K) images, which `sampling.channel` takes apart, and scalars.
-        tables: pytree of flat arrays that are read anywhere.
-        backend: see `jaxblur.Settings`.
-
-    Returns:
-        The results, (H, W, R). Differentiable as `sum_samples`.
-
-    Raises:
-        ValueError: the backend is ``native`` and there is no compiler, or no native form.
-    """
-    leaves, structure = jax.tree.flatten((local, tables))
-    plan = _Plan(stages.sample, stages.limit, count, backend, structure)
-    return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _gather(plan: _Plan, stages: Stages, kept: jax.Array, leaves: list[jax.Array]) -> jax.Array:
-    """The results, without derivatives."""
-    native = native_gather(
-        *(stages, plan.count, _size(kept), plan.operands(leaves), plan.backend),
-        kept.shape[-1],
-    )
-
-    def by_stages(backend, *operands):
-        moving, results = _by_stages(plan._replace(backend=backend), stages, operands[:-1])
-        return _select(moving, results, operands[-1])
-
-    if native is None:
-        return by_stages(plan.backend, *leaves, kept)
-    return lax.platform_dependent(
-        *(*leaves, kept),
-        cpu=lambda *operands: native(*operands)[0],
-        default=functools.partial(by_stages, "xla"),
-    )
-
-
-def _select(moving: jax.Array, results: jax.Array, kept: jax.Array) -> jax.Array:
-    """Results where something moves; elsewhere what is kept, and 0 beyond its channels."""
-    missing = results.shape[-1] - kept.shape[-1]
-    kept = jnp.pad(kept, ((0, 0), (0, 0), (0, missing))) if missing else kept
-    return jnp.where(moving, results, kept)
-
-
-def _by_stages(
-    plan: _Plan, stages: Stages, leaves: Sequence[jax.Array]
-) -> tuple[jax.Array, jax.Array]:
-    """Which pixels move (H, W, 1), and their results: one stage after the other."""
-    local, tables = plan.operands(leaves)
-    moving = stages.moving(local, tables)
-    prepared = stages.prepare(local, tables)
-    sums = sum_samples(stages.sample, plan.count, moving[..., 0], prepared, tables, plan.backend)
-    results = stages.finish(tuple(total[..., None] for total in sums), prepared, local)
-    return moving, jnp.concatenate(results, axis=-1)
-
-
-def _gather_jvp(plan, stages, primals, tangents):
-    """Derivatives are those of the stages; only what has a tangent is differentiated."""
-    (kept, leaves), (kept_change, tangents) = primals, tangents
-    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
-    directions = [tangents[k] for k in active]
-    if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
-        values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
-        moving = stages.moving(*plan.operands(leaves))
-    else:
-
-        def results(values):
-            moving, results = _by_stages(plan, stages, _replaced(leaves, active, values))
-            return results, moving
-
-        values, change, moving = jax.jvp(
-            results, ([leaves[k] for k in active],), (directions,), has_aux=True
-        )
-        values = _select(moving, values, kept)
-    if isinstance(kept_change, SymbolicZero):
-        kept_change = jnp.zeros_like(kept)
-    return values, _select(moving, change, kept_change)
-
-
-def _carries_derivatives(plan: _Plan, stages: Stages, leaves: Sequence[jax.Array]) -> bool:
-    """Whether all that is prepared is real, so that it has a derivative."""
-    prepared = jax.eval_shape(stages.prepare, *plan.operands(leaves))
-    return all(jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in jax.tree.leaves(prepared))
-
-
-def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
-    """The results and their change with some scalars, from one kernel: derivatives are images."""
-    augmented = _with_scalar_derivatives(plan, stages, active)
-    images = _gather(plan, augmented, kept, leaves)
-    size = images.shape[-1] // (1 + len(active))
-    blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
-    change = jnp.zeros_like(blocks[0])
-    for block, direction in zip(blocks[1:], directions, strict=True):
-        change = change + block * direction
-    return blocks[0], change
-
-
-def _with_scalar_derivatives(plan: _Plan, stages: Stages, active: Sequence[int]) -> Stages:
-    """Stages that carry the derivative with respect to each active scalar along."""
-
-    def prepare(local, tables):
-        leaves = jax.tree.leaves((local, tables))
-
-        def of_scalar(position, value):
-            return stages.prepare(*plan.operands(_replaced(leaves, [position], [value])))
-
-        changes = [
-            jax.jvp(functools.partial(of_scalar, k), (leaves[k],), (jnp.ones_like(leaves[k]),))[1]
-            for k in active
-        ]
-        return stages.prepare(local, tables), changes
-
-    def sample(index, prepared, tables):
-        value, changes = prepared
-
-        def terms(value):
-            return stages.sample(index, value, tables)
-
-        derivatives = [jax.jvp(terms, (value,), (change,))[1] for change in changes]
-        return sum(derivatives, start=tuple(terms(value)))
-
-    def finish(sums, prepared, local):
-        value, changes = prepared
-        size = len(sums) // (1 + len(changes))
-        blocks = [sums[k : k + size] for k in range(0, len(sums), size)]
-
-        def results(sums, value):
-            return stages.finish(sums, value, local)
-
-        derivatives = [
-            jax.jvp(results, (blocks[0], value), (block, change))[1]
-            for block, change in zip(blocks[1:], changes, strict=True)
-        ]
-        return sum(derivatives, start=tuple(results(blocks[0], value)))
-
-    limit = None if stages.limit is None else lambda prepared: stages.limit(prepared[0])
-    return Stages(stages.moving, prepare, sample, finish, limit)
-
-
-_gather.defjvp(_gather_jvp, symbolic_zeros=True)
 
 
 def sum_samples(
@@ -241,34 +78,34 @@ def sum_samples(
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     leaves, structure = jax.tree.flatten((local, tables))
-    plan = _Plan(sample, limit, count, backend, structure)
+    plan = Plan(sample, limit, count, backend, structure)
     return _sum(plan, moving, [jnp.asarray(leaf) for leaf in leaves])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _sum(plan: _Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+def _sum(plan: Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The sums, without derivatives."""
     by_xla = functools.partial(_sum_by_xla, plan)
     local, tables = plan.operands(leaves)
     operands = (moving[..., None], local), tables
-    native = native_gather(_only(plan), plan.count, _size(moving), operands, plan.backend)
+    native = native_gather(_only(plan), plan.count, image_size(moving), operands, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
-    return lax.platform_dependent(moving, *leaves, cpu=native, default=by_xla)
+    return on_cpu(native, by_xla, moving, *leaves)
 
 
-def _only(plan: _Plan) -> Stages:
+def _only(plan: Plan) -> Stages:
     """Stages that do nothing but sum a sample, where a plane says so."""
     return Stages(
-        moving=lambda local, _: local[0],
-        prepare=lambda local, _: local[1],
+        moving=lambda local, _: local,
+        prepare=lambda local, tables, found: found,
         sample=plan.sample,
         finish=lambda sums, *_: sums,
         limit=plan.limit,
     )
 
 
-def _sum_by_xla(plan: _Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
+def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """All terms of all samples in one reduction; nothing at all if no pixel moves.
 
     The conditional also keeps XLA from fusing what is computed once per pixel into the kernel,
@@ -283,7 +120,14 @@ def _sum_by_xla(plan: _Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     return lax.cond(jnp.any(moving), sums, lambda *leaves: _zero_sums(plan, leaves), *leaves)
 
 
-def _size(image: jax.Array) -> tuple[int, int]:
+def on_cpu(native: Callable[..., Any], other: Callable[..., Any], *operands: jax.Array) -> Any:
+    """The native form on a CPU, the other one elsewhere; not traced where there is only a CPU."""
+    if {device.platform for device in jax.devices()} == {"cpu"}:
+        return native(*operands)
+    return lax.platform_dependent(*operands, cpu=native, default=other)
+
+
+def image_size(image: jax.Array) -> tuple[int, int]:
     """(H, W)."""
     height, width = image.shape[:2]
     return height, width
@@ -294,18 +138,18 @@ def _add(totals: Terms, more: Terms) -> Terms:
     return tuple(a + b for a, b in zip(totals, more, strict=True))
 
 
-def _shapes(plan: _Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
     terms = jax.eval_shape(plan.terms, jax.ShapeDtypeStruct((1,), jnp.int32), leaves)
     return [jax.ShapeDtypeStruct(term.shape[:2], term.dtype) for term in terms]
 
 
-def _zero_sums(plan: _Plan, leaves: Sequence[jax.Array]) -> Terms:
+def _zero_sums(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
     """Sums of no samples."""
     return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan, leaves))
 
 
-def _sum_by_scan(plan: _Plan, leaves: Sequence[jax.Array]) -> Terms:
+def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
     """The same sums, one sample after the other; transposes without keeping any sample."""
 
     def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
@@ -315,7 +159,7 @@ def _sum_by_scan(plan: _Plan, leaves: Sequence[jax.Array]) -> Terms:
     return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.count))[0]
 
 
-def _replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
+def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
     """The leaves, some of them replaced."""
     replaced = list(leaves)
     for position, value in zip(positions, values, strict=True):
@@ -339,14 +183,14 @@ _sum.defjvp(_sum_jvp, symbolic_zeros=True)
 
 
 def _with_derivatives(
-    plan: _Plan, active: Sequence[int], index: jax.Array, local: Any, tables: Any
+    plan: Plan, active: Sequence[int], index: jax.Array, local: Any, tables: Any
 ) -> Terms:
     """The terms of a sample, then their derivatives with respect to each active local leaf."""
     leaves = jax.tree.leaves((local, tables))
 
     def derivatives(position):
         def of_leaf(leaf):
-            return plan.terms(index, _replaced(leaves, [position], [leaf]))
+            return plan.terms(index, replaced(leaves, [position], [leaf]))
 
         return jax.jvp(of_leaf, (leaves[position],), (jnp.ones_like(leaves[position]),))[1]
 
@@ -367,24 +211,24 @@ def _local_derivatives(plan, moving, leaves, active, directions):
     return tuple(sums[:size]), tuple(change)
 
 
-def _pushed(plan: _Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
+def _pushed(plan: Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
     """Change of the sums as the active leaves change, sample after sample."""
 
     def sums(values):
-        return _sum_by_scan(plan, _replaced(leaves, active, values))
+        return _sum_by_scan(plan, replaced(leaves, active, values))
 
     return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _pull(plan: _Plan, active: tuple[int, ...], moving: Any, leaves: Any, images: Any) -> Any:
+def _pull(plan: Plan, active: tuple[int, ...], moving: Any, leaves: Any, images: Any) -> Any:
     """The transpose of `_pushed`: from images to the active leaves."""
 
     def by_xla(_, *operands: jax.Array) -> tuple[jax.Array, ...]:
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
 
     native = native_pull(
-        *(plan.sample, plan.limit, plan.count, _size(moving), plan.operands(leaves), active),
+        *(plan.sample, plan.limit, plan.count, image_size(moving), plan.operands(leaves), active),
         *(_shapes(plan, leaves), plan.backend),
     )
     if native is None:
@@ -398,14 +242,14 @@ def _pull(plan: _Plan, active: tuple[int, ...], moving: Any, leaves: Any, images
             for k, value in zip(active, values, strict=True)
         )
 
-    return lax.platform_dependent(moving, *leaves, *images, cpu=by_kernel, default=by_xla)
+    return on_cpu(by_kernel, by_xla, moving, *leaves, *images)
 
 
-def _pulled_by_scan(plan: _Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
+def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
     """The same by reverse mode over the scan."""
 
     def sums(*values):
-        return _sum_by_scan(plan, _replaced(leaves, active, values))
+        return _sum_by_scan(plan, replaced(leaves, active, values))
 
     return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
 
@@ -465,7 +309,7 @@ def _push_batched(operands, axes, *, plan, active):
     moved = [jnp.moveaxis(operands[k], axes[k], 0) for k in mapped]
 
     def one(values):
-        return _push.bind(*_replaced(operands, mapped, values), plan=plan, active=active)
+        return _push.bind(*replaced(operands, mapped, values), plan=plan, active=active)
 
     results = lax.map(one, moved)
     return results, [0] * len(results)

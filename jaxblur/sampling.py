@@ -1,12 +1,19 @@
 """Taps along a line: their positions, and how they are read."""
 
+import operator
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .settings import Border, Fetch, Settings
+
+_ONE_ELEMENT = lax.GatherDimensionNumbers(
+    offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
+)
 
 FEWEST = 5
 """Samples that even the shortest path takes."""
@@ -28,18 +35,29 @@ class Texels(NamedTuple):
     y: Float[Array, "*shape"]
 
 
-def sample_count(reach: Float[Array, "*shape"], settings: Settings) -> Float[Array, "*shape"]:
+def path_samples(
+    reach: Float[Array, "*shape"], settings: Settings
+) -> dict[str, Float[Array, "*shape"]]:
     """How many samples a path takes: one every `spacing` pixels, but never more than `samples`.
 
     Args:
         reach: half the length of the path in pixels.
-        settings: samples, and a spacing above 0.
+        settings: samples and spacing.
 
     Returns:
-        Whole numbers, at least `FEWEST`.
+        Under "count" an odd number, at least `FEWEST` if there are so many samples; nothing where
+        the spacing is 0 and every path takes all samples.
     """
-    wanted = jnp.ceil(2 * lax.stop_gradient(reach) / settings.spacing)
-    return jnp.clip(wanted, min(FEWEST, settings.samples), settings.samples)
+    if settings.spacing == 0:
+        return {}
+    pairs = jnp.ceil(lax.stop_gradient(reach) / settings.spacing)
+    wanted = jnp.maximum(2 * pairs + 1, FEWEST)
+    return {"count": jnp.minimum(wanted, settings.samples)}
+
+
+def sample_limit(settings: Settings) -> Callable[..., jax.Array] | None:
+    """Where the samples end, for `jaxblur.native.Stages`."""
+    return None if settings.spacing == 0 else operator.itemgetter("count")
 
 
 def tap_position(
@@ -104,7 +122,10 @@ def read_nearest(
     Returns:
         Values of the index's shape.
     """
-    return table.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    return lax.gather(
+        *(table, index[..., None], _ONE_ELEMENT, (1,)),
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
 
 
 def read_row(
@@ -121,7 +142,7 @@ def read_row(
         One array for each element of the row, of the index's shape.
     """
     start = index * width
-    return tuple(read_nearest(table, start + k) for k in range(width))
+    return tuple(read_nearest(table, start + k if k else start) for k in range(width))
 
 
 def channel(image: Float[Array, "height width channels"], k: int) -> Float[Array, "height width 1"]:
@@ -137,18 +158,6 @@ def channel(image: Float[Array, "height width channels"], k: int) -> Float[Array
     return lax.slice_in_dim(image, k, k + 1, axis=2)
 
 
-def color_table(color: Float[Array, "height width channels"]) -> Float[Array, " texels"]:
-    """Color as the flat table that `read_color` reads; channels of a pixel are neighbors.
-
-    Args:
-        color: (H, W, C).
-
-    Returns:
-        (H * W * C,), the same memory.
-    """
-    return color.reshape(-1)
-
-
 def read_color(
     table: Float[Array, " texels"], texels: Texels, size: tuple[int, int], fetch: Fetch
 ) -> tuple[Float[Array, "*shape"], ...]:
@@ -159,7 +168,7 @@ def read_color(
     texel continues. Differentiable in the color, and under ``bilinear`` in the position.
 
     Args:
-        table: from `color_table`.
+        table: color, flat.
         texels: where to read.
         size: (H, W) of the image.
         fetch: ``nearest`` or ``bilinear``.
@@ -182,3 +191,38 @@ def read_color(
         return upper + down * (lower - upper)
 
     return tuple(mix(*values) for values in zip(*corners, strict=True))
+
+
+def read_color_along(
+    table: Float[Array, " texels"],
+    texels: Texels,
+    size: tuple[int, int],
+    along_x: Bool[Array, "*pixels"],
+) -> tuple[Float[Array, "*taps"], ...]:
+    """Read color at the taps, mixed of two texels that are neighbors along one axis.
+
+    Along a path it is as smooth as bilinear reading, for half of the reads; across, the nearest
+    texel is taken. Differentiable in the color, and in the position along the axis.
+
+    Args:
+        table: color, flat.
+        texels: where to read.
+        size: (H, W) of the image.
+        along_x: whether to mix neighbors in a row, rather than in a column.
+
+    Returns:
+        One array a channel, of the texels' shape.
+    """
+    height, width = size
+    channels = table.size // (height * width)
+    x = jnp.where(along_x, jnp.floor(texels.x), jnp.floor(texels.x + 0.5))
+    y = jnp.where(along_x, jnp.floor(texels.y + 0.5), jnp.floor(texels.y))
+    share = jnp.where(along_x, texels.x - x, texels.y - y)
+    column, row, across = x.astype(jnp.int32), y.astype(jnp.int32), along_x.astype(jnp.int32)
+
+    def read(column, row):
+        column, row = jnp.clip(column, 0, width - 1), jnp.clip(row, 0, height - 1)
+        return read_row(table, row * width + column, channels)
+
+    first, second = read(column, row), read(column + across, row + 1 - across)
+    return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))

@@ -304,3 +304,14 @@ def test_parameters_of_another_filter_are_refused():
         with pytest.raises(ValueError, match=r"`parameters` must be GuertinParameters, got"):
             check_parameters(wrong, jaxblur.GuertinParameters)
     check_parameters(jaxblur.GuertinParameters(), jaxblur.GuertinParameters)
+
+
+@pytest.mark.parametrize("name", ["guertin2014", "pixel_velocity", "layered"])
+def test_a_spacing_leaves_the_samples_that_the_path_needs(name):
+    frame = random_frame((13, 17))
+    velocity = np.broadcast_to(np.float32([3.2, 0.0]), (13, 17, 2))
+    frame = jaxblur.Frame(frame.color, frame.depth, velocity)
+    slices = 3 if name == "layered" else 1
+    few = change(samples=9 * slices, noise="none")
+    many = change(samples=35 * slices, spacing=0.8, noise="none")
+    np.testing.assert_allclose(run(name, frame, many), run(name, frame, few), atol=2e-6)

@@ -69,6 +69,7 @@ def test_equals_xla(name, size):
         {"tile_choice": "expected"},
         {"split": "variance"},
         {"directions": "one", "direction_weights": "off"},
+        {"noise": "none"},
     ],
     ids=lambda options: "-".join(options.values()),
 )
@@ -76,6 +77,23 @@ def test_equals_xla_in_every_setting(options):
     by_native, by_xla = runs("guertin2014", **options)
     frame, parameters = make_frame((12, 35)), jaxblur.GuertinParameters()
     assert_trees_close(by_native(frame, parameters), by_xla(frame, parameters), 2e-6)
+
+
+@pytest.mark.parametrize("name", sorted(jaxblur.FILTERS))
+def test_equals_xla_where_short_paths_take_fewer_samples(name):
+    frame, parameters = make_frame((9, 37)), parameters_of(name)
+
+    def both(blur):
+        def total(color):
+            changed = jaxblur.Frame(color, frame.depth, frame.velocity)
+            return jnp.sum(blur(changed, parameters) ** 2)
+
+        return blur(frame, parameters), jax.grad(total)(frame.color)
+
+    ours, theirs = map(both, runs(name, spacing=1.5))
+    assert_trees_close(ours, theirs, 2e-5)
+    dense = runs(name)[0](frame, parameters)
+    assert np.max(np.abs(ours[0] - dense)) > 0.01 or name == "layered"
 
 
 @pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
@@ -209,8 +227,8 @@ def test_without_a_compiler_xla_does_the_work(monkeypatch):
 def tiny_program(count):
     """A kernel that no other test compiles."""
     stages = native.Stages(
-        moving=lambda local, _: local > 0,
-        prepare=lambda local, _: local,
+        moving=lambda local, _: (local > 0, ()),
+        prepare=lambda local, tables, found: local,
         sample=lambda index, local, _: (local * index,),
         finish=lambda sums, *_: sums,
     )

@@ -8,6 +8,7 @@ import pytest
 from jax.scipy.ndimage import map_coordinates
 from jax.typing import DTypeLike
 
+import jaxblur
 from jaxblur import sample_sums, sampling
 from jaxblur.settings import Border
 
@@ -47,12 +48,35 @@ def test_bilinear_fetch_equals_map_coordinates():
     image = jnp.asarray(generator.random((*size, 2)), jnp.float32)
     offsets = generator.uniform(-4, 4, (2, *size, 6)).astype(np.float32)
     texels = sampling.read_position(jnp.asarray(offsets[0]), jnp.asarray(offsets[1]), size, "clamp")
-    table = sampling.color_table(image)
+    table = image.reshape(-1)
     for channel, value in enumerate(sampling.read_color(table, texels, size, "bilinear")):
         expected = map_coordinates(
             image[..., channel], [texels.y, texels.x], order=1, mode="nearest"
         )
         np.testing.assert_allclose(value, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("along_x", [True, False])
+def test_reading_along_an_axis_is_linear_there_and_nearest_across(along_x):
+    generator = np.random.default_rng(0)
+    size = (5, 7)
+    image = jnp.asarray(generator.random((*size, 2)), jnp.float32)
+    offsets = generator.uniform(-4, 4, (2, *size, 6)).astype(np.float32)
+    texels = sampling.read_position(jnp.asarray(offsets[0]), jnp.asarray(offsets[1]), size, "clamp")
+    rounded = [jnp.floor(texels.y + 0.5), texels.x] if along_x else [texels.y, None]
+    rounded = [jnp.floor(texels.x + 0.5) if place is None else place for place in rounded]
+    values = sampling.read_color_along(image.reshape(-1), texels, size, jnp.asarray(along_x))
+    for channel, value in enumerate(values):
+        expected = map_coordinates(image[..., channel], rounded, order=1, mode="nearest")
+        np.testing.assert_allclose(value, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("reach", "spacing", "count"), [(0.6, 2, 5), (4, 1, 9), (4.1, 1, 11), (40, 2, 35)]
+)
+def test_a_path_takes_a_sample_every_spacing(reach, spacing, count):
+    settings = jaxblur.Settings(samples=35, spacing=spacing)
+    assert sampling.path_samples(jnp.float32(reach), settings)["count"] == count
 
 
 def test_bilinear_fetch_at_integers_has_the_slope_to_the_right():

@@ -39,14 +39,15 @@ REFERENCE = "native, N = 35"
 FRESH_PROCESS = """
 import sys, time
 start = time.perf_counter()
-import jax, jaxblur
+import jax
 from jaxblur.cli.compute import start_jax
 from jaxblur.bench.frames import moving_frame
+from jaxblur import GuertinParameters, guertin2014
 start_jax(compile_cache=True)
 jax.block_until_ready(jax.numpy.ones(1))
 imported = time.perf_counter()
 frame = moving_frame(720, 1280)
-jaxblur.guertin2014(frame, jaxblur.GuertinParameters()).block_until_ready()
+guertin2014(frame, GuertinParameters()).block_until_ready()
 print(imported - start, time.perf_counter() - imported)
 """
 

@@ -2,23 +2,23 @@
 
 import dataclasses
 import functools
-import operator
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
+from ..gathers import gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
-from ..sample_sums import gather_samples
 from ..sampling import (
     channel,
+    path_samples,
     read_color,
     read_position,
     read_row,
-    sample_count,
+    sample_limit,
     tap_position,
 )
 from ..settings import Settings
@@ -189,19 +189,20 @@ def _read_dominant(settings, local, tables):
 
 
 def _is_moving(settings, local, tables):
-    """Whether anything moves where a pixel looks."""
-    return safe_norm(*_read_dominant(settings, local, tables)) > SPEED_FLOOR
-
-
-def _prepare_pixel(settings, local, tables):
-    """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
+    """Whether anything moves where a pixel looks, and the dominant velocity there."""
     dominant = _read_dominant(settings, local, tables)
+    reach = safe_norm(*dominant)
+    return reach > SPEED_FLOOR, (dominant, reach)
+
+
+def _prepare_pixel(settings, local, tables, found):
+    """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
+    dominant, reach = found
     motion = {name: channel(local["motion"], k) for k, name in enumerate(MOTION)}
     velocity, speed = (motion["x"], motion["y"]), 1 / motion["inverse_speed"]
     along, center = _directions(velocity, speed, dominant, local["gamma"])
-    reach = safe_norm(*dominant)
     kept = ("sharpness", "kappa", "share")
-    prepared = {name: local[name] for name in kept if name in local} | {
+    needed = {name: local[name] for name in kept if name in local} | {
         "inverse_speed": motion["inverse_speed"],
         "depth": motion["depth"],
         "along": along,
@@ -209,9 +210,7 @@ def _prepare_pixel(settings, local, tables):
         "reach": reach,
         "jitter": local["noise"] * local["jitter"] if "noise" in local else jnp.zeros_like(reach),
     }
-    if settings.spacing > 0:
-        prepared["count"] = sample_count(reach, settings)
-    return prepared
+    return needed | path_samples(reach, settings)
 
 
 def _finish_pixel(sums, prepared, local):
@@ -235,7 +234,7 @@ def _reconstruct(frame, local, tables, settings):
         prepare=functools.partial(_prepare_pixel, settings),
         sample=functools.partial(_sample, frame.depth.shape, settings),
         finish=_finish_pixel,
-        limit=None if settings.spacing == 0 else operator.itemgetter("count"),
+        limit=sample_limit(settings),
     )
     return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
 

@@ -16,10 +16,19 @@ import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame, check_parameters
+from ..gathers import gather_samples
+from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
-from ..sample_sums import Stages, gather_samples
-from ..sampling import channel, color_table, read_color, read_nearest, read_position
+from ..sampling import (
+    channel,
+    path_samples,
+    read_color,
+    read_color_along,
+    read_position,
+    read_row,
+    sample_limit,
+)
 from ..settings import Settings
 from ..tiles import clamp_speed, own_tile
 from ..weights import SPEED_FLOOR, finite_depth
@@ -73,25 +82,29 @@ def _times(index, count, jitter):
     index = index.astype(jitter.dtype)
     center = 2 * (index + 0.5) - count
     side = jnp.sign(center)
-    return [(center + (2 * (side * k + jitter)) / GUESSES) / count for k in (0, -1, 1)]
+    third, slice_length = 2 / GUESSES, 1 / count
+    return [(center + (side * k + jitter) * third) * slice_length for k in (0, -1, 1)]
 
 
-def _guess(size, settings, time, way, tables, local):
+def _guess(size, border, interpolates, time, way, tables, local):
     """Read one guess: its texel, how surely it lands, its log depth, its color."""
     (x, y), (turn_x, turn_y), (bend_x, bend_y), own = way
     squared = time * time
-    texels = read_position(
-        squared * bend_x - time * x, squared * bend_y - time * y, size, settings.border
-    )
-    read = {name: read_nearest(plane, texels.index) for name, plane in tables["motion"].items()}
-    apart_x, apart_y = read["x"] - x + time * turn_x, read["y"] - y + time * turn_y
+    texels = read_position(squared * bend_x - time * x, squared * bend_y - time * y, size, border)
+    width = tables["motion"].size // (size[0] * size[1])
+    read_x, read_y, depth, *_ = read_row(tables["motion"], texels.index, width)
+    apart_x, apart_y = read_x - x + time * turn_x, read_y - y + time * turn_y
     apart = jnp.square(apart_x) + jnp.square(apart_y)
     lands = jnp.clip(1.5 - squared * apart * local["inverse_tolerance"], 0, 1)
-    depth_apart = jnp.abs(read["depth"] - local["depth"])
+    depth_apart = jnp.abs(depth - local["depth"])
     same = jnp.clip(1.5 - apart * local["inverse_own"], 0, 1)
     same = same * jnp.clip(1.5 - local["surface_sharpness"] * depth_apart, 0, 1)
     lands = jnp.where(texels.counts, jnp.maximum(lands, own * same), 0)
-    return texels, lands, read["depth"], read_color(tables["color"], texels, size, settings.fetch)
+    if interpolates:
+        color = read_color_along(tables["color"], texels, size, jnp.abs(x) >= jnp.abs(y))
+    else:
+        color = read_color(tables["color"], texels, size, "nearest")
+    return texels, lands, depth, color
 
 
 def _in_front(sharpness, nearer, farther):
@@ -115,20 +128,20 @@ def _visible(lands, depths, sharpness):
 
 def _slice(size, settings, count, index, local, tables):
     """Color and weight of one slice of the exposure."""
+    count = local.get("count", count)
     times = _times(index, count, local["jitter"])
-    # Bilinear reading of the other guesses too gains 0.1 dB and takes a fifth more time.
-    nearest = dataclasses.replace(settings, fetch="nearest")
+    # Interpolating the other guesses too gains 0.1 dB and takes a fifth more time.
+    interpolates = (settings.fetch == "bilinear", False, False)
     guesses = [
-        _guess(size, reading, time, way, tables, local)
-        for reading, time, way in zip(
-            (settings, nearest, nearest), times, local["ways"], strict=True
-        )
+        _guess(size, settings.border, mixes, time, way, tables, local)
+        for mixes, time, way in zip(interpolates, times, local["ways"], strict=True)
     ]
     texels, lands, depths, colors = zip(*guesses, strict=True)
     sharpness = local["front_sharpness"]
     shares, empty = _visible(lands, depths, sharpness)
     behind = _in_front(sharpness, local["depth"], depths[0])
     shares[0] = shares[0] + empty * jnp.where(texels[0].counts, behind, 0)
+    shares = [jnp.where(index < count, share, 0) for share in shares]
     weight = functools.reduce(jnp.add, shares)
     mixed = [
         functools.reduce(
@@ -139,34 +152,47 @@ def _slice(size, settings, count, index, local, tables):
     return (*mixed, weight)
 
 
-def _motion(frame, parameters, settings, log_depth):
-    """Velocity x, y, speed, and half the acceleration x, y of every pixel; that needs a path."""
-    motion = frame.velocity
+def _motion(frame, parameters, settings):
+    """Velocity x, y, log depth, and with a path half the acceleration x, y: (H, W, 3 or 5)."""
+    velocity, half = frame.velocity, ()
     if frame.path is not None:
         opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
         # What bends is as long as the radius at the most, so that taps have a farthest place.
-        half, _ = clamp_speed((opening + closing) / 2, settings.radius)
-        motion = jnp.concatenate([(closing - opening) / 2, half], axis=-1)
-    longest = jnp.asarray(settings.radius, motion.dtype)
-    speed = safe_norm(motion[..., 0], motion[..., 1])
-    motion = motion * (longest / jnp.maximum(speed, longest))[..., None]
-    separation, coverage = parameters.surface_sharpness, parameters.thin_coverage
-    x, y, *half = purest_motion(motion, log_depth, separation, coverage, settings.backend)
-    speed = safe_norm(x, y)
+        bent, _ = clamp_speed((opening + closing) / 2, settings.radius)
+        velocity, half = (closing - opening) / 2, (bent,)
+    speed = safe_norm(velocity[..., 0], velocity[..., 1])
+    longest = jnp.asarray(settings.radius, velocity.dtype)
+    shorter = (longest / jnp.maximum(speed, longest))[..., None]
+    depth = jnp.log(finite_depth(frame.depth))[..., None]
+    motion = [velocity * shorter, depth, *(bent * shorter for bent in half)]
+    return purest_motion(
+        *(jnp.concatenate(motion, axis=-1), parameters.surface_sharpness),
+        *(parameters.thin_coverage, settings.backend),
+    )
+
+
+def _reaching_velocities(motion, radius):
+    """The two velocities that matter in each fine tile, (rows, columns, 4); 0 for none."""
+    x, y, log_depth = (motion[..., k] for k in range(3))
     # Clamped vectors tie in a tile maximum, whatever rounding made of them.
-    return x, y, jnp.where(speed > longest * (1 - 1e-5), longest, speed), half
+    speed = safe_norm(x, y)
+    speed = jnp.where(speed > radius * (1 - 1e-5), jnp.asarray(radius, speed.dtype), speed)
+    pixels = reaching_pixels(x, y, speed, log_depth, radius)
+    vectors = motion.reshape(-1, motion.shape[-1])[pixels, :2]
+    vectors = jnp.where((pixels >= 0)[..., None], vectors, 0)
+    return jnp.concatenate(list(vectors), axis=-1)
 
 
-def _turn(size, local, tables):
+def _turn(size, motion, local, tables):
     """Change of velocity along the own way, (v . grad) v; 0 beyond the ends of the surface."""
-    x, y = local["velocity"]
+    x, y, own_depth, *_ = motion
     squared = jnp.square(x) + jnp.square(y)
 
     def change(side):
         index = read_position(side * x, side * y, size, "clamp").index
-        near = {name: read_nearest(plane, index) for name, plane in tables["motion"].items()}
-        near_x, near_y = near["x"] - x, near["y"] - y
-        depth_apart = jnp.abs(near["depth"] - local["depth"]) * local["surface_sharpness"]
+        near_x, near_y, depth = read_row(tables["motion"], index, len(motion))[:3]
+        near_x, near_y = near_x - x, near_y - y
+        depth_apart = jnp.abs(depth - own_depth) * local["surface_sharpness"]
         alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)
         return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), alike.astype(x.dtype)
 
@@ -175,12 +201,10 @@ def _turn(size, local, tables):
     return scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])
 
 
-def _others(local, tables):
+def _others(x, y, velocities, local):
     """For both velocities of the tile: x, y, and how surely it is no other than the own one."""
-    x, y = local["velocity"]
     others = []
-    for table in tables["tiles"]:
-        other_x, other_y = (read_nearest(table, 2 * local["tile"] + axis) for axis in (0, 1))
+    for other_x, other_y in (velocities[:2], velocities[2:]):
         apart = jnp.square(other_x - x) + jnp.square(other_y - y)
         differs = jnp.clip(2 * apart / jnp.square(local["distinct"]) - 1, 0, 1)
         exists = (other_x != 0) | (other_y != 0)
@@ -189,44 +213,59 @@ def _others(local, tables):
     return others
 
 
-def _ways(local, turn, others):
+def _ways(velocity, half, turn, others, local):
     """The three ways to guess along: velocity, turn, bend and share of "own" of each.
 
     A point s gets to p at time t if ``s + t v(s) + t^2 a(s) = p``, a being half its acceleration;
     to second order ``s = p - t v + t^2 ((v . grad) v - a)``. Where no path tells a, velocities
     are taken to stay where they are in the image, and a is half the turn.
     """
-    if local["half"]:
-        bend = [part - half for part, half in zip(turn, local["half"], strict=True)]
+    if half:
+        bend = [part - other for part, other in zip(turn, half, strict=True)]
     else:
         bend = [local["bend"] * part for part in turn]
-    ways = [(local["velocity"], turn, bend, 1)]
+    ways = [(velocity, turn, bend, 1)]
     for x, y, own in others:
         ways.append(((x, y), [own * part for part in turn], [own * part for part in bend], own))
     return ways
 
 
-def _is_moving(local, tables):
-    """Whether a pixel moves, or anything reaches its tile."""
-    return local["moving"]
+def _is_moving(settings, local, tables):
+    """Whether a pixel moves, or anything reaches its tile; its motion, and what reaches it."""
+    motion = [channel(local["motion"], k) for k in range(local["motion"].shape[-1])]
+    tile = own_tile(*local["motion"].shape[:2], fine_tile(settings.radius))
+    velocities = read_row(tables["others"], tile, 4)
+    reached = functools.reduce(jnp.logical_or, [part != 0 for part in velocities])
+    return reached | (safe_norm(*motion[:2]) > SPEED_FLOOR), (motion, velocities)
 
 
-def _prepare(size, local, tables):
+def _path_slices(squared, others, settings):
+    """How many slices the longest of the three paths takes."""
+    for x, y, _ in others:
+        squared = jnp.maximum(squared, jnp.square(x) + jnp.square(y))
+    slices = dataclasses.replace(settings, samples=settings.samples // GUESSES)
+    return path_samples(jnp.sqrt(squared), slices)
+
+
+def _prepare(size, settings, local, tables, found):
     """What the slices of a pixel use as it is."""
-    others = _others(local, tables)
-    x, y = local["velocity"]
+    (x, y, depth, *half), velocities = found
+    others = _others(x, y, velocities, local)
     squared = jnp.square(x) + jnp.square(y)
     tolerance = jnp.square(local["own_tolerance"]) * (squared + SPEED_FLOOR**2)
     moving = squared > SPEED_FLOOR**2
     for _, _, own in others:
         moving = moving | (own < 1)
-    return {
-        "ways": _ways(local, _turn(size, local, tables), others),
+    kept = ("front_sharpness", "surface_sharpness")
+    needed = {
+        "ways": _ways((x, y), half, _turn(size, found[0], local, tables), others, local),
+        "depth": depth,
         "moving": moving,
         "inverse_own": 1 / tolerance,
         "inverse_tolerance": 1 / jnp.square(local["landing_tolerance"]),
         "jitter": local["noise"] * local["jitter"] / 2,
-    } | {name: local[name] for name in ("depth", "front_sharpness", "surface_sharpness")}
+    } | {name: local[name] for name in kept}
+    return needed | _path_slices(squared, others, settings)
 
 
 def _finish(sums, prepared, local):
@@ -254,8 +293,10 @@ def layered(
     Args:
         frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels.
         parameters: see `LayeredParameters`.
-        settings: samples (three to a slice, the rest left over), radius, border, fetch, noise,
-            backend; the others are not used.
+        settings: samples (three to a slice, the rest left over), radius, spacing, border, fetch,
+            noise, backend; the others are not used. ``bilinear`` mixes the two texels next to the
+            guess along the own velocity, along the axis that it follows more; the other guesses
+            read the nearest texel.
         noise: replaces the built-in noise; only ``tap`` is used.
 
     Returns:
@@ -273,37 +314,27 @@ def layered(
     if settings.samples < GUESSES:
         raise ValueError(f"`samples` must be at least {GUESSES}, got {settings.samples}.")
     frame = check_frame(frame)
-    height, width = shape = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
+    shape = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, *shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    log_depth = jnp.log(finite_depth(frame.depth))
-    x, y, speed, half = _motion(frame, parameters, settings, log_depth)
-    tile_size = fine_tile(settings.radius)
-    pixels = reaching_pixels(x, y, speed, log_depth, settings.radius)
-    exists, tile = pixels >= 0, own_tile(height, width, tile_size)[..., 0]
-    vectors = jnp.stack([x.reshape(-1)[pixels], y.reshape(-1)[pixels]], axis=-1)
-    vectors = jnp.where(exists[..., None], vectors, 0)
-    read = {"x": x, "y": y, "depth": log_depth}
-    tables = {
-        "motion": {name: plane.reshape(-1) for name, plane in read.items()},
-        "tiles": [grid.reshape(-1) for grid in vectors],
-        "color": color_table(frame.color),
+    motion = _motion(frame, parameters, settings)
+    local = vars(parameters) | {
+        "motion": motion,
+        "color": frame.color,
+        "noise": noise.tap.astype(frame.color.dtype)[..., None],
     }
-    planes = {
-        "velocity": (x, y),
-        "half": half,
-        "depth": log_depth,
-        "tile": tile,
-        "noise": noise.tap.astype(frame.color.dtype),
-        "moving": (speed > SPEED_FLOOR) | jnp.any(exists, axis=0).reshape(-1)[tile],
+    images = {
+        "motion": motion,
+        "color": frame.color,
+        "others": _reaching_velocities(motion, settings.radius),
     }
-    local = jax.tree.map(lambda plane: plane[..., None], planes) | vars(parameters)
-    local["color"] = frame.color
+    tables = {name: image.reshape(-1) for name, image in images.items()}
     count = settings.samples // GUESSES
     stages = Stages(
-        moving=_is_moving,
-        prepare=functools.partial(_prepare, shape),
+        moving=functools.partial(_is_moving, settings),
+        prepare=functools.partial(_prepare, shape, settings),
         sample=functools.partial(_slice, shape, settings, count),
         finish=_finish,
+        limit=sample_limit(settings),
     )
     return gather_samples(stages, count, frame.color, local, tables, settings.backend)

@@ -2,20 +2,22 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame, check_parameters
+from ..gathers import gather_samples
+from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
-from ..sample_sums import sum_samples
 from ..sampling import (
-    color_table,
+    channel,
+    path_samples,
     read_color,
-    read_nearest,
     read_position,
+    read_row,
+    sample_limit,
     tap_position,
 )
 from ..settings import Settings
@@ -45,17 +47,18 @@ class McGuireParameters:
 
 def _sample(size, settings, index, local, tables):
     """Weighted color and weight of a tap [listing 1]."""
+    count = local.get("count", settings.samples)
+    exists = index < count - 1
     # The tap at the pixel itself is left out; the center weight stands for it.
-    index = jnp.where(index >= settings.samples // 2, index + 1, index)
-    position = tap_position(index, settings.samples, local["jitter"])
+    index = jnp.where(2 * index >= count - 1, index + 1, index)
+    position = tap_position(index, count, local["jitter"])
     offset_x, offset_y = (position * step for step in local["dominant"])
     texels = read_position(offset_x, offset_y, size, settings.border)
     if settings.fetch == "nearest":
         offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
     distance = safe_norm(offset_x, offset_y)
     depth, inverse_speed = local["depth"], local["inverse_speed"]
-    inverse_sample = read_nearest(tables["inverse_speed"], texels.index)
-    depth_sample = read_nearest(tables["depth"], texels.index)
+    inverse_sample, depth_sample = read_row(tables["motion"], texels.index, 2)
     in_front, behind = absolute_closeness(depth_sample, depth, local["soft_z_extent"])
     both = cylinder(distance, inverse_sample) * cylinder(distance, inverse_speed)
     weight = (
@@ -63,9 +66,42 @@ def _sample(size, settings, index, local, tables):
         + behind * cone(distance, inverse_speed)
         + 2 * both
     )
-    weight = jnp.where(texels.counts, weight, 0)
+    weight = jnp.where(texels.counts & exists, weight, 0)
     colors = read_color(tables["color"], texels, size, settings.fetch)
     return (*(weight * color for color in colors), weight)
+
+
+def _is_moving(settings, local, tables):
+    """Whether anything moves in the neighborhood, and the dominant velocity there."""
+    tile = own_tile(*local["motion"].shape[:2], settings.radius)
+    dominant = read_row(tables["dominant"], tile, 2)
+    reach = safe_norm(*dominant)
+    return reach > SPEED_FLOOR, (dominant, reach)
+
+
+def _prepare(settings, local, tables, found):
+    """What the taps of a pixel need."""
+    dominant, reach = found
+    needed = {
+        "dominant": dominant,
+        "inverse_speed": channel(local["motion"], 0),
+        "depth": channel(local["motion"], 1),
+        "jitter": local["noise"] / 2,
+        "soft_z_extent": local["soft_z_extent"],
+    }
+    return needed | path_samples(reach, settings)
+
+
+def _finish(settings, sums, prepared, local):
+    """The weighted mean; the pixel itself weighs more where fewer taps stand for a path."""
+    *colors, weight = sums
+    share = prepared.get("count", settings.samples) / settings.samples
+    center_weight = prepared["inverse_speed"] * share
+    total = weight + center_weight
+    return tuple(
+        (color + center_weight * channel(local["color"], k)) / total
+        for k, color in enumerate(colors)
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
@@ -111,22 +147,22 @@ def mcguire2012(
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    tiles = dominant_velocity(velocity, speed, settings.radius, "all").reshape(-1, 2)
-    dominant = tiles[own_tile(height, width, settings.radius)[..., 0]]
-    inverse_speed = 1 / floored_speed(speed)
-    buffers = {"depth": finite_depth(frame.depth), "inverse_speed": inverse_speed}
-    tables: dict[str, Any] = {name: buffer.reshape(-1) for name, buffer in buffers.items()}
-    local = {name: buffer[..., None] for name, buffer in buffers.items()} | {
-        "dominant": (dominant[..., :1], dominant[..., 1:]),
-        "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
+    dominant = dominant_velocity(velocity, speed, settings.radius, "all")
+    motion = jnp.stack([1 / floored_speed(speed), finite_depth(frame.depth)], axis=-1)
+    local = {
+        "motion": motion,
+        "noise": noise.tap.astype(frame.color.dtype)[..., None],
         "soft_z_extent": jnp.asarray(parameters.soft_z_extent, frame.color.dtype),
+        "color": frame.color,
     }
-    tables["color"] = color_table(frame.color)
-    moving = safe_norm(dominant[..., 0], dominant[..., 1]) > SPEED_FLOOR
-    sample = functools.partial(_sample, (height, width), settings)
-    *colors, weight = sum_samples(
-        sample, settings.samples - 1, moving, local, tables, settings.backend
+    images = {"motion": motion, "dominant": dominant, "color": frame.color}
+    tables = {name: image.reshape(-1) for name, image in images.items()}
+    stages = Stages(
+        moving=functools.partial(_is_moving, settings),
+        prepare=functools.partial(_prepare, settings),
+        sample=functools.partial(_sample, (height, width), settings),
+        finish=functools.partial(_finish, settings),
+        limit=sample_limit(settings),
     )
-    total = jnp.stack(colors, axis=-1) + frame.color * inverse_speed[..., None]
-    blurred = total / (weight + inverse_speed)[..., None]
-    return jnp.where(moving[..., None], blurred, frame.color)
+    taps = settings.samples - 1
+    return gather_samples(stages, taps, frame.color, local, tables, settings.backend)

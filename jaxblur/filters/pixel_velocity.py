@@ -6,23 +6,50 @@ import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame
+from ..gathers import gather_samples
+from ..native import Stages
 from ..noise import Noise, resolve_noise
-from ..sample_sums import sum_samples
-from ..sampling import color_table, read_color, read_position, tap_position
+from ..safe_math import safe_norm
+from ..sampling import channel, path_samples, read_color, read_position, sample_limit, tap_position
 from ..settings import Settings
 from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR
 from .masking import honoring_mask
 
 
-def _sample(size, settings, index, local, color):
+def _is_moving(local, tables):
+    """Whether the pixel itself moves."""
+    velocity = [channel(local["velocity"], axis) for axis in (0, 1)]
+    speed = safe_norm(*velocity)
+    return speed > SPEED_FLOOR, (velocity, speed)
+
+
+def _prepare(settings, local, tables, found):
+    """What the taps of a pixel need."""
+    velocity, speed = found
+    needed = {"velocity": velocity, "jitter": local["noise"] / 2}
+    return needed | path_samples(speed, settings)
+
+
+def _sample(size, settings, index, local, tables):
     """Color of a tap on the pixel's own path, and 1 where it counts."""
-    position = tap_position(index, settings.samples, local["jitter"])
+    count = local.get("count", settings.samples)
+    position = tap_position(index, count, local["jitter"])
     velocity_x, velocity_y = local["velocity"]
     texels = read_position(position * velocity_x, position * velocity_y, size, settings.border)
-    colors = read_color(color, texels, size, settings.fetch)
-    counts = texels.counts.astype(position.dtype)
+    colors = read_color(tables["color"], texels, size, settings.fetch)
+    counts = (texels.counts & (index < count)).astype(position.dtype)
     return (*(counts * color for color in colors), counts)
+
+
+def _finish(sums, prepared, local):
+    """The mean of the taps that count."""
+    *colors, count = sums
+    total = jnp.maximum(count, 1)
+    return tuple(
+        jnp.where(count > 0, color / total, channel(local["color"], k))
+        for k, color in enumerate(colors)
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
@@ -59,16 +86,18 @@ def pixel_velocity(
     frame = check_frame(frame)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
-    velocity, speed = clamp_speed(frame.velocity, settings.radius)
+    velocity, _ = clamp_speed(frame.velocity, settings.radius)
     local = {
-        "velocity": (velocity[..., :1], velocity[..., 1:]),
-        "jitter": noise.tap.astype(frame.color.dtype)[..., None] / 2,
+        "velocity": velocity,
+        "noise": noise.tap.astype(frame.color.dtype)[..., None],
+        "color": frame.color,
     }
-    moving = speed > SPEED_FLOOR
-    sample = functools.partial(_sample, (height, width), settings)
-    *colors, count = sum_samples(
-        sample, settings.samples, moving, local, color_table(frame.color), settings.backend
+    stages = Stages(
+        moving=_is_moving,
+        prepare=functools.partial(_prepare, settings),
+        sample=functools.partial(_sample, (height, width), settings),
+        finish=_finish,
+        limit=sample_limit(settings),
     )
-    mean = jnp.stack(colors, axis=-1) / jnp.maximum(count, 1)[..., None]
-    blurred = moving & (count > 0)
-    return jnp.where(blurred[..., None], mean, frame.color)
+    tables = {"color": frame.color.reshape(-1)}
+    return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..sample_sums import sum_samples
-from ..sampling import read_nearest
+from ..gathers import gather_samples
+from ..native import Stages
+from ..sampling import channel, read_nearest, read_row
 from ..settings import Backend
 from ..weights import SPEED_FLOOR
 
@@ -54,41 +55,50 @@ def _unmixed(vector, other, thin, coverage):
     return [a + share * g for a, g in zip(vector, gap, strict=True)]
 
 
-def _purest(size, index, local, tables):
-    """The motion that `purest_motion` finds, written for `sum_samples` with one sample."""
-    del index
-    separation, coverage = local
-    motion, depth = tables
-    width = motion.size // (size[0] * size[1])
-    here = _neighbor(size, 0, 0)
+def _jumps(size, local, tables):
+    """Whether there is a jump of depth beside the pixel; how far the neighbors are behind it."""
+    width = local["motion"].shape[-1]
     near = [_neighbor(size, *offset) for offset in NEIGHBORS]
-    vectors = [[read_nearest(motion, n * width + axis) for axis in (0, 1)] for n in (here, *near)]
-    own_depth = read_nearest(depth, here)
-    behind = [(read_nearest(depth, n) - own_depth) * separation for n in near]
+    own = channel(local["motion"], 2)
+    depths = [read_nearest(tables["motion"], index * width + 2) for index in near]
+    behind = [(depth - own) * local["separation"] for depth in depths]
+    jumps = functools.reduce(jnp.logical_or, [jnp.abs(step) > 1 for step in behind])
+    return jumps, (near, behind)
+
+
+def _prepare(local, tables, found):
+    """The motion that `purest_motion` finds."""
+    near, behind = found
+    motion = [channel(local["motion"], k) for k in range(local["motion"].shape[-1])]
+    vectors = [read_row(tables["motion"], index, len(motion)) for index in near]
     other = [jnp.abs(step) > 1 for step in behind]
-    count = _count(other, depth.dtype)
+    count = jnp.maximum(_count(other, motion[0].dtype), 1)
     mean = [
-        _sum([jnp.where(a, v[axis], 0) for a, v in zip(other, vectors[1:], strict=True)])
-        / jnp.maximum(count, 1)
+        _sum([jnp.where(a, vector[axis], 0) for a, vector in zip(other, vectors, strict=True)])
+        / count
         for axis in (0, 1)
     ]
-    unlike = [jnp.square(v[0] - mean[0]) + jnp.square(v[1] - mean[1]) for v in vectors]
-    best, choice = unlike[0], here
-    for apart, n, distance in zip(other, near, unlike[1:], strict=True):
-        take = (distance > best) & ~apart & (count > 0)
-        best, choice = jnp.where(take, distance, best), jnp.where(take, n, choice)
-    taken = [read_nearest(motion, choice * width + k) for k in range(width)]
-    thin = _count([step > 1 for step in behind], depth.dtype) >= THIN
-    return (*_unmixed(taken[:2], mean, thin, coverage), *taken[2:])
+
+    def unlikeness(vector):
+        return jnp.square(vector[0] - mean[0]) + jnp.square(vector[1] - mean[1])
+
+    best, taken = unlikeness(motion), motion
+    for apart, vector in zip(other, vectors, strict=True):
+        distance = unlikeness(vector)
+        take = (distance > best) & ~apart
+        best = jnp.where(take, distance, best)
+        taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
+    thin = _count([step > 1 for step in behind], motion[0].dtype) >= THIN
+    velocity = _unmixed(taken[:2], mean, thin, local["coverage"])
+    return [*velocity, motion[2], *taken[3:]]
 
 
 def purest_motion(
     motion: Float[Array, "height width components"],
-    log_depth: Float[Array, "height width"],
     separation: Float[Array, ""],
     coverage: Float[Array, ""],
     backend: Backend,
-) -> tuple[Float[Array, "height width"], ...]:
+) -> Float[Array, "height width components"]:
     """At a jump of depth, the motion of the own side that is least like the other side.
 
     Of the 3 x 3 neighbors those within ``1 / separation`` of the pixel in log depth are its own
@@ -100,17 +110,21 @@ def purest_motion(
     background that does not is at rest.
 
     Args:
-        motion: velocity in pixels, x and y, and what else belongs to a motion.
-        log_depth: natural logarithm of the depth.
+        motion: velocity in pixels, x and y; the natural logarithm of the depth; and what else
+            belongs to a motion.
         separation: per unit of log depth, > 0; 20 tells depths apart that differ by 5 percent.
         coverage: least share of a pixel that something one pixel wide covers, in (0, 1].
         backend: see `jaxblur.Settings`.
 
     Returns:
-        One plane for each component. The derivative is that of the motion taken.
+        The same with other motions; depths stay. The derivative is that of the motion taken.
     """
-    size = log_depth.shape
-    tables = motion.reshape(-1), log_depth.reshape(-1)
-    everywhere = jnp.ones(size, bool)
-    sample = functools.partial(_purest, size)
-    return sum_samples(sample, 1, everywhere, (separation, coverage), tables, backend)
+    height, width, _ = motion.shape
+    local = {"motion": motion, "separation": separation, "coverage": coverage}
+    stages = Stages(
+        moving=functools.partial(_jumps, (height, width)),
+        prepare=_prepare,
+        sample=lambda index, prepared, tables: tuple(prepared),
+        finish=lambda sums, *_: sums,
+    )
+    return gather_samples(stages, 1, motion, local, {"motion": motion.reshape(-1)}, backend)

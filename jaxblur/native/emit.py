@@ -24,9 +24,10 @@ class Stages(NamedTuple):
     """What happens at a pixel; elementwise but for reads of the tables.
 
     Attributes:
-        moving: from (local, tables) to a (H, W, 1) bool plane: the pixels that are computed.
-        prepare: from (local, tables) to a pytree of (H, W, 1) planes and scalars, once a pixel.
-            Channels of a local image are taken by slices, ``image[..., k : k + 1]``.
+        moving: from (local, tables) to a (H, W, 1) bool plane, the pixels that are computed, and a
+            pytree of what was found out on the way.
+        prepare: from (local, tables, found) to a pytree of (H, W, 1) planes and scalars, once a
+            pixel that moves. `sampling.channel` takes a local image apart.
         sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms.
         finish: from (sums (H, W, 1), prepared, local) to a tuple of (H, W, 1) results.
         limit: from prepared to a (H, W, 1) plane: samples from that number on have terms of 0, so
@@ -170,10 +171,12 @@ def emit_gather(
     program = _Program(count, size, _operands(local, tables), kept)
     table_values = program.leaves[len(jax.tree.leaves(local)) :]
     shapes, table_shapes = _shaped(local), _shaped(tables)
-    (moving,), _ = program.write(stages.moving, (shapes, table_shapes), program.leaves)
+    (moving, *found), (_, found_shapes) = program.write(
+        stages.moving, (shapes, table_shapes), program.leaves
+    )
     program.split(moving)
     prepared, prepared_shapes = program.write(
-        stages.prepare, (shapes, table_shapes), program.leaves
+        stages.prepare, (shapes, table_shapes, found_shapes), [*program.leaves, *found]
     )
     program.stop_at(stages.limit, prepared_shapes, prepared)
     index = jax.ShapeDtypeStruct((count,), jnp.int32)

@@ -157,6 +157,10 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
     return;
   }
+  if (KEPT == RESULTS && !largest(-moving)) {
+    memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
+    return;
+  }
   float values[RESULTS + 1][LANES];
   memcpy(values, results, sizeof values);
   for (int lane = 0; lane < lanes; ++lane) {

@@ -147,16 +147,19 @@ def at_texel(row, column, x, y, shape, border):
     return where, inside or border == "clamp"
 
 
-def bilinear(image, y, x):
-    height, width = image.shape[:2]
-    top, left = math.floor(y), math.floor(x)
+def between(image, y, x, axis):
+    """Linear along one axis (0 down, 1 right), the nearest texel along the other."""
+    place = [y, x]
+    place[1 - axis] = math.floor(place[1 - axis] + 0.5)
+    first = math.floor(place[axis])
+    share = place[axis] - first
 
-    def texel(row, column):
-        return image[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+    def texel(k):
+        where = [int(place[0]), int(place[1])]
+        where[axis] = first + k
+        return image[tuple(np.clip(where, 0, np.array(image.shape[:2]) - 1))]
 
-    upper = texel(top, left) * (1 - (x - left)) + texel(top, left + 1) * (x - left)
-    lower = texel(top + 1, left) * (1 - (x - left)) + texel(top + 1, left + 1) * (x - left)
-    return upper * (1 - (y - top)) + lower * (y - top)
+    return texel(0) * (1 - share) + texel(1) * share
 
 
 def turn_of(motion, depth, row, column, sharpness):
@@ -205,7 +208,7 @@ def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, sett
             same *= clip01(1.5 - parameters["surface_sharpness"] * abs(depth[where] - here))
             lands = max(lands, own * same) if counts else 0.0
             if k == 0 and settings["fetch"] == "bilinear":
-                seen = bilinear(color, row + y, column + x)
+                seen = between(color, row + y, column + x, 1 if abs(u[0]) >= abs(u[1]) else 0)
             else:
                 seen = color[where]
             guesses.append((lands, depth[where], seen, counts))

@@ -1,0 +1,184 @@
+"""Gathers: what the samples along a line make of every pixel.
+
+A filter describes in stages what happens at a pixel: does anything move there, what do its samples
+need, what does each sample give, what follows from their sums. On a CPU with a C++ compiler all
+stages become one native kernel (`jaxblur.native`); elsewhere they run one after the other, with
+`sum_samples` in the middle.
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+from .native import Stages, native_gather
+from .sample_sums import Plan, image_size, on_cpu, replaced, sum_samples
+from .settings import Backend
+
+
+def gather_samples(
+    stages: Stages,
+    count: int,
+    kept: jax.Array,
+    local: Any,
+    tables: Any,
+    backend: Backend = "auto",
+) -> jax.Array:
+    """Prepare each pixel that moves, sum the terms of its samples, and finish it.
+
+    The same as the stages one after the other with `sum_samples` between them; native code does
+    all of them in one pass over the pixels.
+
+    Args:
+        stages: ``moving(local, tables)`` gives a (H, W, 1) bool plane, the pixels that are
+            computed, and what it found out; ``prepare(local, tables, found)`` a pytree of
+            (H, W, 1) planes and scalars; ``sample(indices (n,), prepared, tables)`` a tuple of
+            (H, W, n) terms;
+            ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results. Elementwise but for
+            reads of the tables. Part of the compilation key.
+        count: number of samples N.
+        kept: (H, W, K) image, what the other pixels keep, K at most the number R of results;
+            further channels are 0 there.
+        local: pytree of (H, W, K) images, which `sampling.channel` takes apart, and scalars.
+        tables: pytree of flat arrays that are read anywhere.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        The results, (H, W, R). Differentiable as `sum_samples`.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    leaves, structure = jax.tree.flatten((local, tables))
+    plan = Plan(stages.sample, stages.limit, count, backend, structure)
+    return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _gather(plan: Plan, stages: Stages, kept: jax.Array, leaves: list[jax.Array]) -> jax.Array:
+    """The results, without derivatives."""
+    native = native_gather(
+        *(stages, plan.count, image_size(kept), plan.operands(leaves), plan.backend),
+        kept.shape[-1],
+    )
+
+    def by_stages(backend, *operands):
+        moving, results = _by_stages(plan._replace(backend=backend), stages, operands[:-1])
+        return _select(moving, results, operands[-1])
+
+    if native is None:
+        return by_stages(plan.backend, *leaves, kept)
+    return on_cpu(
+        lambda *operands: native(*operands)[0], functools.partial(by_stages, "xla"), *leaves, kept
+    )
+
+
+def _select(moving: jax.Array, results: jax.Array, kept: jax.Array) -> jax.Array:
+    """Results where something moves; elsewhere what is kept, and 0 beyond its channels."""
+    missing = results.shape[-1] - kept.shape[-1]
+    kept = jnp.pad(kept, ((0, 0), (0, 0), (0, missing))) if missing else kept
+    return jnp.where(moving, results, kept)
+
+
+def _by_stages(
+    plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Which pixels move (H, W, 1), and their results: one stage after the other."""
+    local, tables = plan.operands(leaves)
+    moving, found = stages.moving(local, tables)
+    prepared = stages.prepare(local, tables, found)
+    sums = sum_samples(stages.sample, plan.count, moving[..., 0], prepared, tables, plan.backend)
+    results = stages.finish(tuple(total[..., None] for total in sums), prepared, local)
+    return moving, jnp.concatenate(results, axis=-1)
+
+
+def _gather_jvp(plan, stages, primals, tangents):
+    """Derivatives are those of the stages; only what has a tangent is differentiated."""
+    (kept, leaves), (kept_change, tangents) = primals, tangents
+    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    directions = [tangents[k] for k in active]
+    if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
+        values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
+        moving, _ = stages.moving(*plan.operands(leaves))
+    else:
+
+        def results(values):
+            moving, results = _by_stages(plan, stages, replaced(leaves, active, values))
+            return results, moving
+
+        values, change, moving = jax.jvp(
+            results, ([leaves[k] for k in active],), (directions,), has_aux=True
+        )
+        values = _select(moving, values, kept)
+    if isinstance(kept_change, SymbolicZero):
+        kept_change = jnp.zeros_like(kept)
+    return values, _select(moving, change, kept_change)
+
+
+def _carries_derivatives(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> bool:
+    """Whether all that is prepared is real, so that it has a derivative."""
+    local, tables = plan.operands(leaves)
+    _, found = jax.eval_shape(stages.moving, local, tables)
+    prepared = jax.eval_shape(stages.prepare, local, tables, found)
+    return all(jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in jax.tree.leaves(prepared))
+
+
+def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
+    """The results and their change with some scalars, from one kernel: derivatives are images."""
+    augmented = _with_scalar_derivatives(plan, stages, active)
+    images = _gather(plan, augmented, kept, leaves)
+    size = images.shape[-1] // (1 + len(active))
+    blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
+    change = jnp.zeros_like(blocks[0])
+    for block, direction in zip(blocks[1:], directions, strict=True):
+        change = change + block * direction
+    return blocks[0], change
+
+
+def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
+    """Stages that carry the derivative with respect to each active scalar along."""
+
+    def prepare(local, tables, found):
+        leaves = jax.tree.leaves((local, tables))
+
+        def of_scalar(position, value):
+            local, tables = plan.operands(replaced(leaves, [position], [value]))
+            return stages.prepare(local, tables, stages.moving(local, tables)[1])
+
+        changes = [
+            jax.jvp(functools.partial(of_scalar, k), (leaves[k],), (jnp.ones_like(leaves[k]),))[1]
+            for k in active
+        ]
+        return stages.prepare(local, tables, found), changes
+
+    def sample(index, prepared, tables):
+        value, changes = prepared
+
+        def terms(value):
+            return stages.sample(index, value, tables)
+
+        derivatives = [jax.jvp(terms, (value,), (change,))[1] for change in changes]
+        return sum(derivatives, start=tuple(terms(value)))
+
+    def finish(sums, prepared, local):
+        value, changes = prepared
+        size = len(sums) // (1 + len(changes))
+        blocks = [sums[k : k + size] for k in range(0, len(sums), size)]
+
+        def results(sums, value):
+            return stages.finish(sums, value, local)
+
+        derivatives = [
+            jax.jvp(results, (blocks[0], value), (block, change))[1]
+            for block, change in zip(blocks[1:], changes, strict=True)
+        ]
+        return sum(derivatives, start=tuple(results(blocks[0], value)))
+
+    limit = None if stages.limit is None else lambda prepared: stages.limit(prepared[0])
+    return Stages(stages.moving, prepare, sample, finish, limit)
+
+
+_gather.defjvp(_gather_jvp, symbolic_zeros=True)
