@@ -125,6 +125,14 @@ def test_every_case_is_measured_once_for_every_filter():
         assert ("transformations", name, "4096x2160: a part alone") in labels
 
 
+@pytest.mark.parametrize(
+    ("name", "samples", "reason"), [("layered", 1, "N is too small"), ("mcguire2012", 2, "N must")]
+)
+def test_numbers_of_samples_that_a_filter_refuses_are_told(name, samples, reason):
+    (case,) = (case for case in cases.all_cases() if case.name == f"N = {samples}")
+    assert f"refused: {reason}" in experiment.row(name, "bilinear", case)[3]
+
+
 def test_rows_that_are_there_are_not_measured_again(tmp_path, monkeypatch):
     column, shape = experiment.COLUMNS, transformations.COLUMNS
     experiment.write_table(

@@ -60,7 +60,7 @@ KEYS = {"hard_cases": COLUMNS[:3], "transformations": transformations.COLUMNS[:2
 """Cells that name a row."""
 
 SUMMARY_COLUMNS = ("case", "filters", *COLUMNS[3:])
-ODD = "must be odd"
+TOO_FEW, ODD = "`samples` must be at least", "must be odd"
 
 
 def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
@@ -72,9 +72,10 @@ def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
         numbers = measuring.measure(setup, frame)
         broken = measuring.broken_invariants(setup, frame)
     except ValueError as error:
-        if ODD not in str(error):
+        if not any(text in str(error) for text in (TOO_FEW, ODD)):
             raise
-        return (name, fetch, case.label, "refused: N must be odd", *["-"] * 8)
+        reason = "N must be odd" if ODD in str(error) else "N is too small"
+        return (name, fetch, case.label, f"refused: {reason}", *["-"] * 8)
     return (
         *(name, fetch, case.label),
         *("yes" if finite else "NO" for finite in numbers[:2]),
