@@ -7,7 +7,7 @@ stages become one native kernel (`jaxblur.native`); elsewhere they run one after
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -177,8 +177,15 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         ]
         return sum(derivatives, start=tuple(results(blocks[0], value)))
 
-    limit = None if stages.limit is None else lambda prepared: stages.limit(prepared[0])
+    limit = stages.limit
+    if limit is not None:
+        limit = functools.partial(_of_value, limit)
     return Stages(stages.moving, prepare, sample, finish, limit)
+
+
+def _of_value(limit: Callable[..., Any], prepared: tuple[Any, Any]) -> Any:
+    """The limit, of what is prepared without its derivatives."""
+    return limit(prepared[0])
 
 
 _gather.defjvp(_gather_jvp, symbolic_zeros=True)

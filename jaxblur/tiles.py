@@ -6,6 +6,7 @@ tie the first vector wins and takes the whole derivative.
 """
 
 import functools
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,6 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from .safe_math import safe_divide, safe_norm, safe_normalize
-from .sampling import channel
 
 # Center first, then row-major: with a strict comparison this is the order of ties.
 RING = ((0, 0), (-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
@@ -256,11 +256,9 @@ def sample_tiles(
     return jax.scipy.ndimage.map_coordinates(values, coordinates, order=1, mode="nearest")
 
 
-def _local_position(
-    axis: int, shape: tuple[int, int, int], radius: int
-) -> Float[Array, "height width 1"]:
+def _local_position(axis: int, shape: Sequence[int], radius: int) -> Float[Array, "height width 1"]:
     """Position inside the tile along one axis, ``u = (x mod r + 0.5) / r``, in (0, 1)."""
-    index = lax.broadcasted_iota(jnp.int32, shape, axis)
+    index = lax.broadcasted_iota(jnp.int32, (*shape[:2], 1), axis)
     return (lax.rem(index, jnp.full_like(index, radius)) + 0.5) / radius
 
 
@@ -287,7 +285,7 @@ def stochastic_tile(
     Returns:
         (H, W, 1) indices into the flattened tile grid.
     """
-    noise_x, noise_y = (channel(tile_noise, axis) for axis in (0, 1))
+    noise_x, noise_y = (lax.slice_in_dim(tile_noise, k, k + 1, axis=2) for k in (0, 1))
     height, width = noise_x.shape[:2]
     rows, columns = -(-height // radius), -(-width // radius)
     own_row, own_column = _own_row_and_column(noise_x.shape, radius)
@@ -299,26 +297,25 @@ def stochastic_tile(
     return jnp.where(leaves, row * columns + column, own_row * columns + own_column)
 
 
-def own_tile(height: int, width: int, radius: int) -> Int[Array, "{height} {width} 1"]:
+def own_tile(shape: Sequence[int], radius: int) -> Int[Array, "height width 1"]:
     """Row-major index of the tile that each pixel lies in.
 
     Args:
-        height: rows of the image.
-        width: columns of the image.
+        shape: of the image, rows and columns first.
         radius: tile size in pixels.
 
     Returns:
-        (height, width, 1) indices into the flattened tile grid.
+        (H, W, 1) indices into the flattened tile grid.
     """
-    row, column = _own_row_and_column((height, width, 1), radius)
-    return row * (-(-width // radius)) + column
+    row, column = _own_row_and_column(shape, radius)
+    return row * (-(-shape[1] // radius)) + column
 
 
 def _own_row_and_column(
-    shape: tuple[int, int, int], radius: int
+    shape: Sequence[int], radius: int
 ) -> tuple[Int[Array, "height width 1"], Int[Array, "height width 1"]]:
     """Row and column, in the grid, of the tile that each pixel lies in."""
-    y, x = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    y, x = (lax.broadcasted_iota(jnp.int32, (*shape[:2], 1), axis) for axis in (0, 1))
     return lax.div(y, jnp.full_like(y, radius)), lax.div(x, jnp.full_like(x, radius))
 
 
@@ -341,24 +338,24 @@ def _leaving_probability(
 
 
 def reachable_tiles(
-    height: int, width: int, radius: int, tau: Float[Array, ""]
-) -> tuple[Int[Array, "3 {height} {width}"], Float[Array, "3 {height} {width}"]]:
+    shape: Sequence[int], radius: int, tau: Float[Array, ""]
+) -> tuple[Int[Array, "3 height width"], Float[Array, "3 height width"]]:
     """The tiles that the stochastic lookup can reach, and the probability of each.
 
     ``P_x = w_x (1 - w_y)``, ``P_y = w_y (1 - w_x)``, ``P_own = 1 - P_x - P_y`` (departure 5).
     Differentiable in tau; the derivative at ``w = 0`` is half the one-sided one.
 
     Args:
-        height: rows of the image.
-        width: columns of the image.
+        shape: of the image, rows and columns first.
         radius: tile size in pixels.
         tau: reach of the jitter in tiles, 0 <= tau <= 1.
 
     Returns:
-        Indices into the flattened tile grid and probabilities, both (3, height, width) in the
-        order own, neighbor along x, neighbor along y.
+        Indices into the flattened tile grid and probabilities, both (3, H, W) in the order own,
+        neighbor along x, neighbor along y.
     """
-    own = own_tile(height, width, radius)[..., 0]
+    height, width = shape[:2]
+    own = own_tile(shape, radius)[..., 0]
     columns = -(-width // radius)
     step_x, chance_x = _leaving_probability(width, radius, tau)
     step_y, chance_y = _leaving_probability(height, radius, tau)

@@ -80,7 +80,7 @@ def test_tile_lookup_equals_plain_loops(shape, tau):
     rows, columns = -(-height // radius), -(-width // radius)
     xi = generator.uniform(-0.5, 0.5, (*shape, 2)).astype(np.float32)
     drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))[..., 0]
-    index, chance = reachable_tiles(height, width, radius, jnp.float32(tau))
+    index, chance = reachable_tiles((height, width), radius, jnp.float32(tau))
     grid = (tau, radius, rows, columns)
     for row, column in np.ndindex(*shape):
         place = (row, column)
@@ -99,7 +99,7 @@ def test_drawn_tiles_have_the_stated_probabilities():
     xi = np.random.default_rng(4).uniform(-0.5, 0.5, (draws, *shape, 2)).astype(np.float32)
     draw = jax.vmap(lambda x: stochastic_tile(x, jnp.float32(tau), radius)[..., 0])
     drawn = draw(jnp.asarray(xi))
-    index, chance = reachable_tiles(*shape, radius, jnp.float32(tau))
+    index, chance = reachable_tiles(shape, radius, jnp.float32(tau))
     for tile in range(4):
         expected = np.sum(np.where(np.asarray(index) == tile, chance, 0), axis=0)
         share = np.mean(np.asarray(drawn) == tile, axis=0)
@@ -115,7 +115,7 @@ def test_gradients_follow_the_winner():
             return ring, jaxblur.tile_variance(ring)
 
         check_gradients(reductions, velocity)
-        check_gradients(lambda tau: reachable_tiles(13, 17, 5, tau)[1], 0.93)
+        check_gradients(lambda tau: reachable_tiles((13, 17), 5, tau)[1], 0.93)
 
 
 def test_gradients_at_ties_and_at_zero_are_finite():

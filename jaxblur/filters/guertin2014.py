@@ -184,7 +184,7 @@ def _read_dominant(settings, local, tables):
     elif settings.tile_choice == "stochastic" and "noise" in local:
         tile = stochastic_tile(local["tile_noise"], local["tau"], settings.radius)
     else:
-        tile = own_tile(*local["motion"].shape[:2], settings.radius)
+        tile = own_tile(local["motion"].shape, settings.radius)
     return read_row(tables["dominant"], tile, 2)
 
 
@@ -242,11 +242,11 @@ def _reconstruct(frame, local, tables, settings):
 def _tile_choices(shape, parameters, settings, noise):
     """The tiles that a pixel may read and their probabilities (pass 4), both (K, H, W)."""
     if settings.tile_choice == "expected":
-        return reachable_tiles(*shape, settings.radius, parameters.tau)
+        return reachable_tiles(shape, settings.radius, parameters.tau)
     if settings.tile_choice == "stochastic":
         tile = stochastic_tile(noise.tile, parameters.tau, settings.radius)
     else:
-        tile = own_tile(*shape, settings.radius)
+        tile = own_tile(shape, settings.radius)
     return tile[None, ..., 0], jnp.ones((1, *shape), parameters.tau.dtype)
 
 
@@ -333,14 +333,14 @@ def tile_outcomes(
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
     frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
-    size = frame.depth.shape
+    size, tau = frame.depth.shape, jnp.asarray(parameters.tau)
     anything = jnp.any(safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR)
 
     def blur_all():
         buffers = _buffers(frame, speed, tiles, noise, parameters, settings)
         if settings.tile_choice != "expected":
             return _reconstruct(frame, *buffers, settings)[None]
-        indices, _ = reachable_tiles(*size, settings.radius, parameters.tau)
+        indices, _ = reachable_tiles(size, settings.radius, tau)
         local, tables = buffers
         return lax.map(
             lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
@@ -353,7 +353,7 @@ def tile_outcomes(
         return jnp.broadcast_to(color, (len(chances), *color.shape))
 
     if settings.tile_choice == "expected":
-        _, chances = reachable_tiles(*size, settings.radius, parameters.tau)
+        _, chances = reachable_tiles(size, settings.radius, tau)
     else:
         chances = jnp.ones((1, *size), frame.color.dtype)
     colors = lax.cond(anything, blur_all, keep)

@@ -233,7 +233,7 @@ def _ways(velocity, half, turn, others, local):
 def _is_moving(settings, local, tables):
     """Whether a pixel moves, or anything reaches its tile; its motion, and what reaches it."""
     motion = [channel(local["motion"], k) for k in range(local["motion"].shape[-1])]
-    tile = own_tile(*local["motion"].shape[:2], fine_tile(settings.radius))
+    tile = own_tile(local["motion"].shape, fine_tile(settings.radius))
     velocities = read_row(tables["others"], tile, 4)
     reached = functools.reduce(jnp.logical_or, [part != 0 for part in velocities])
     return reached | (safe_norm(*motion[:2]) > SPEED_FLOOR), (motion, velocities)

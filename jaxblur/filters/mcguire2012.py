@@ -73,7 +73,7 @@ def _sample(size, settings, index, local, tables):
 
 def _is_moving(settings, local, tables):
     """Whether anything moves in the neighborhood, and the dominant velocity there."""
-    tile = own_tile(*local["motion"].shape[:2], settings.radius)
+    tile = own_tile(local["motion"].shape, settings.radius)
     dominant = read_row(tables["dominant"], tile, 2)
     reach = safe_norm(*dominant)
     return reach > SPEED_FLOOR, (dominant, reach)
