@@ -189,8 +189,12 @@ def test_what_is_fast_elsewhere_does_not_change_which_lines_cross_a_tile():
     velocity = frame.velocity.at[:20].multiply(3)
     x, y = jnp.clip(velocity, -25, 25)[..., 0], jnp.clip(velocity, -25, 25)[..., 1]
     planes = x, y, jnp.hypot(x, y), jnp.log(jnp.minimum(frame.depth, 1e18))
-    whole = np.asarray(reaching_pixels(*planes, 40))[:, 5:]
-    part = np.asarray(reaching_pixels(*(plane[40:] for plane in planes), 40))
+
+    def pixels(start):
+        x, y, speed, depth = (plane[start:] for plane in planes)
+        return np.asarray(reaching_pixels(x, y, speed, depth, 40))
+
+    whole, part = pixels(0)[:, 5:], pixels(40)
     part = np.where(part >= 0, part + 40 * 300, -1)
     # The first six rows of tiles of the part are near enough to its border to miss lines.
     np.testing.assert_array_equal(part[:, 6:], whole[:, 6:])

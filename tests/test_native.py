@@ -3,6 +3,7 @@
 import concurrent.futures
 import functools
 import logging
+import os
 from typing import Any
 
 import jax
@@ -257,6 +258,19 @@ def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path
     folder = tmp_path / "jaxblur" / "kernels"
     assert [path.name for path in folder.iterdir()] == [f"{name}.so" for name in names]
     assert folder.stat().st_mode & 0o077 == 0
+
+
+def test_the_oldest_kernels_go_first(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    monkeypatch.setattr(build, "MOST_KERNELS", 2)
+    folder = tmp_path / "jaxblur" / "kernels"
+    folder.mkdir(parents=True, mode=0o700)
+    for age, name in enumerate(("new", "old", "oldest")):
+        (folder / f"{name}.so").touch()
+        os.utime(folder / f"{name}.so", (0, 1000 - age))
+    name = build.register(tiny_program(104))
+    assert sorted(path.stem for path in folder.iterdir()) == sorted([name, "new"])
 
 
 def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path):

@@ -25,6 +25,9 @@ FLAGS = (
 # Tried in this order: compilers disagree about the name of "for this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
+MOST_KERNELS = 300
+"""Kernels that are kept, some 30 KB each; those that were made longest ago go first."""
+
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
 
@@ -101,9 +104,17 @@ def _compile(source: str, library: pathlib.Path) -> None:
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 os.replace(built, library)
+                _forget_old(library.parent)
                 return
             words = done.stderr
     raise BuildFailed(f"the C++ compiler refused a kernel:\n{words}")
+
+
+def _forget_old(folder: pathlib.Path) -> None:
+    """Remove what is beyond the kernels that are kept; a process that has loaded one keeps it."""
+    kernels = sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in kernels[MOST_KERNELS:]:
+        path.unlink(missing_ok=True)
 
 
 def register(source: str) -> str:
