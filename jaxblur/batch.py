@@ -32,10 +32,10 @@ def blur_batch(
 
     ``vmap`` inside a chunk, ``lax.map`` from chunk to chunk, so that one chunk is in work at a
     time. Memory besides the stacked frames and results, for guertin2014 on three channels, as XLA
-    accounts for it on a CPU (experiments/009_throughput): 80 bytes a pixel of one frame with one
-    frame a chunk, about 200 with two or four. The reverse derivative in the parameters keeps what
-    it needs of *every* frame: 1,200 to 1,700 bytes a pixel of one frame for a batch of four. On a
-    CPU one frame already fills the machine, and a larger chunk gains nothing.
+    accounts for it on a CPU (experiments/009_throughput): 70 bytes a pixel of one frame with one
+    frame a chunk, 200 with two. The reverse derivative in the parameters keeps what it needs of
+    *every* frame: for a batch of four 420 bytes a pixel of one frame with one frame a chunk, 760
+    with two. On a CPU one frame already fills the machine, and a larger chunk gains nothing.
 
     Args:
         filter: a key of `jaxblur.FILTERS`, or one of its functions.
