@@ -25,14 +25,18 @@ class Texels(NamedTuple):
     Attributes:
         index: row-major index of the nearest texel, inside the image.
         counts: False where the tap has no weight (outside the image under ``skip``).
-        x: column of the tap, a real number, possibly outside the image.
-        y: row of the tap.
+        column: of the texel to the left of the tap, possibly outside the image.
+        row: of the texel above the tap.
+        across: how far the tap is to the right of that, in [0, 1).
+        down: how far it is below.
     """
 
     index: Int[Array, "*shape"]
     counts: Array
-    x: Float[Array, "*shape"]
-    y: Float[Array, "*shape"]
+    column: Int[Array, "*shape"]
+    row: Int[Array, "*shape"]
+    across: Float[Array, "*shape"]
+    down: Float[Array, "*shape"]
 
 
 def path_samples(
@@ -88,7 +92,7 @@ def read_position(
     """The texel nearest to ``pixel + offset``: ``floor(p + offset + 1/2)`` per axis.
 
     The offset is rounded before the pixel index is added, which keeps all its digits on large
-    frames.
+    frames, and makes what is read of a part of a frame the same as of the whole.
 
     Args:
         offset_x: (H, W, n) offset of the tap from its pixel, in pixels to the right.
@@ -102,12 +106,14 @@ def read_position(
     height, width = size
     row = lax.broadcasted_iota(jnp.int32, (height, width, 1), 0)
     column = lax.broadcasted_iota(jnp.int32, (height, width, 1), 1)
+    left, top = jnp.floor(offset_x), jnp.floor(offset_y)
     x = column + jnp.floor(offset_x + 0.5).astype(jnp.int32)
     y = row + jnp.floor(offset_y + 0.5).astype(jnp.int32)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     index = jnp.clip(y, 0, height - 1) * width + jnp.clip(x, 0, width - 1)
     counts = inside if border == "skip" else jnp.ones_like(inside)
-    return Texels(index, counts, column + offset_x, row + offset_y)
+    corner = column + left.astype(jnp.int32), row + top.astype(jnp.int32)
+    return Texels(index, counts, *corner, offset_x - left, offset_y - top)
 
 
 def read_nearest(
@@ -180,15 +186,13 @@ def read_color(
     channels = table.size // (height * width)
     if fetch == "nearest":
         return read_row(table, texels.index, channels)
-    left, top = jnp.floor(texels.x), jnp.floor(texels.y)
-    across, down = texels.x - left, texels.y - top
-    columns = [jnp.clip(left.astype(jnp.int32) + k, 0, width - 1) for k in (0, 1)]
-    rows = [jnp.clip(top.astype(jnp.int32) + k, 0, height - 1) * width for k in (0, 1)]
+    columns = [jnp.clip(texels.column + k, 0, width - 1) for k in (0, 1)]
+    rows = [jnp.clip(texels.row + k, 0, height - 1) * width for k in (0, 1)]
     corners = [read_row(table, row + column, channels) for row in rows for column in columns]
 
     def mix(a, b, c, d):
-        upper, lower = a + across * (b - a), c + across * (d - c)
-        return upper + down * (lower - upper)
+        upper, lower = a + texels.across * (b - a), c + texels.across * (d - c)
+        return upper + texels.down * (lower - upper)
 
     return tuple(mix(*values) for values in zip(*corners, strict=True))
 
@@ -215,14 +219,14 @@ def read_color_along(
     """
     height, width = size
     channels = table.size // (height * width)
-    x = jnp.where(along_x, jnp.floor(texels.x), jnp.floor(texels.x + 0.5))
-    y = jnp.where(along_x, jnp.floor(texels.y + 0.5), jnp.floor(texels.y))
-    share = jnp.where(along_x, texels.x - x, texels.y - y)
-    column, row, across = x.astype(jnp.int32), y.astype(jnp.int32), along_x.astype(jnp.int32)
+    share = jnp.where(along_x, texels.across, texels.down)
+    column = texels.column + jnp.where(along_x | (texels.across < 0.5), 0, 1)
+    row = texels.row + jnp.where(~along_x | (texels.down < 0.5), 0, 1)
+    step = along_x.astype(jnp.int32)
 
     def read(column, row):
         column, row = jnp.clip(column, 0, width - 1), jnp.clip(row, 0, height - 1)
         return read_row(table, row * width + column, channels)
 
-    first, second = read(column, row), read(column + across, row + 1 - across)
+    first, second = read(column, row), read(column + step, row + 1 - step)
     return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))

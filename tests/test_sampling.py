@@ -42,6 +42,11 @@ def test_outside_the_image_clamp_counts_and_skip_does_not():
     assert not skip.counts[1, 1, 0] and clamp.counts[1, 1, 0]
 
 
+def places(texels):
+    """Rows and columns, real numbers."""
+    return [texels.row + texels.down, texels.column + texels.across]
+
+
 def test_bilinear_fetch_equals_map_coordinates():
     generator = np.random.default_rng(0)
     size = (5, 7)
@@ -50,9 +55,7 @@ def test_bilinear_fetch_equals_map_coordinates():
     texels = sampling.read_position(jnp.asarray(offsets[0]), jnp.asarray(offsets[1]), size, "clamp")
     table = image.reshape(-1)
     for channel, value in enumerate(sampling.read_color(table, texels, size, "bilinear")):
-        expected = map_coordinates(
-            image[..., channel], [texels.y, texels.x], order=1, mode="nearest"
-        )
+        expected = map_coordinates(image[..., channel], places(texels), order=1, mode="nearest")
         np.testing.assert_allclose(value, expected, atol=1e-5)
 
 
@@ -63,11 +66,11 @@ def test_reading_along_an_axis_is_linear_there_and_nearest_across(along_x):
     image = jnp.asarray(generator.random((*size, 2)), jnp.float32)
     offsets = generator.uniform(-4, 4, (2, *size, 6)).astype(np.float32)
     texels = sampling.read_position(jnp.asarray(offsets[0]), jnp.asarray(offsets[1]), size, "clamp")
-    rounded = [jnp.floor(texels.y + 0.5), texels.x] if along_x else [texels.y, None]
-    rounded = [jnp.floor(texels.x + 0.5) if place is None else place for place in rounded]
+    place = places(texels)
+    place[1 - along_x] = jnp.floor(place[1 - along_x] + 0.5)
     values = sampling.read_color_along(image.reshape(-1), texels, size, jnp.asarray(along_x))
     for channel, value in enumerate(values):
-        expected = map_coordinates(image[..., channel], rounded, order=1, mode="nearest")
+        expected = map_coordinates(image[..., channel], place, order=1, mode="nearest")
         np.testing.assert_allclose(value, expected, atol=1e-5)
 
 
