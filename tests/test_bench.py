@@ -56,6 +56,12 @@ def test_functions_are_timed_in_turn_after_one_untimed_run():
     assert all(seconds >= 0 for timing in times.values() for seconds in timing.cpu_seconds)
 
 
+def test_what_settles_runs_once_more_before_it_is_timed():
+    calls = []
+    time_in_turn({name: lambda name=name: calls.append(name) for name in "ab"}, 2, settle=True)
+    assert calls == ["a", "b"] + ["a", "a", "b", "b"] * 2
+
+
 def test_a_limit_of_time_leaves_three_rounds():
     assert len(time_in_turn({"a": lambda: None}, 9, limit=0.0)["a"].seconds) == 3
 

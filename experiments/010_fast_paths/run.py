@@ -166,7 +166,7 @@ def make_rows(size: tuple[int, int]) -> list[Row]:
 
 def measure(rows: list[Row], repeats: int) -> list[tuple[str, ...]]:
     """Time all rows in turn; the lines of the table. Ratios are those of processor time."""
-    times = time_in_turn({row.name: row.run for row in rows}, repeats)
+    times = time_in_turn({row.name: row.run for row in rows}, repeats, settle=True)
     lines = []
     for row in rows:
         own, reference = times[row.name], times[row.reference]

@@ -58,7 +58,10 @@ def interquartile_range(values: Sequence[float]) -> float:
 
 
 def time_in_turn(
-    runs: Mapping[str, Callable[[], Any]], repeats: int, limit: float = math.inf
+    runs: Mapping[str, Callable[[], Any]],
+    repeats: int,
+    limit: float = math.inf,
+    settle: bool = False,
 ) -> dict[str, Timing]:
     """Time functions in rounds: each once, then each once more.
 
@@ -69,6 +72,8 @@ def time_in_turn(
         runs: functions without arguments, by name.
         repeats: number of rounds, 1 or more.
         limit: seconds after which no round starts, once there were three.
+        settle: run each once more, untimed, before it is timed: memory that the one before it gave
+            back to the system is then there again, as it is in a sequence of frames.
 
     Returns:
         Times by name.
@@ -86,6 +91,8 @@ def time_in_turn(
         if turn >= FEWEST_ROUNDS and time.perf_counter() - started > limit:
             break
         for name, run in runs.items():
+            if settle:
+                run()
             measured[name].append(_time_once(run))
     columns = {name: tuple(zip(*pairs, strict=True)) for name, pairs in measured.items()}
     return {name: Timing(*pair) for name, pair in columns.items()}

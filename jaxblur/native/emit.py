@@ -274,11 +274,26 @@ def _pull_one(
 
 
 def _additions(tables: Sequence[Value]) -> list[str]:
-    """What a tap adds to tables."""
+    """What a tap adds to tables; neighbors in memory are added to together."""
     lines = []
     for k, table in enumerate(tables):
         if not table.additions and (table.number is None or np.any(table.number != 0)):
             raise Unsupported("a table as a result that is not added to")
+        rows: dict[str, dict[int, str]] = {}
         for index, value in table.additions:
-            lines.append(f"add(tables[{k}], {index.code}, {value.code}, lanes);")
+            base, distance = index.base or (index.code, 0)
+            row = rows.setdefault(base, {})
+            row[distance] = f"{row[distance]} + {value.code}" if distance in row else value.code
+        for base, row in rows.items():
+            lines += _add_row(k, base, row)
+    return lines
+
+
+def _add_row(table: int, base: str, row: dict[int, str]) -> list[str]:
+    """Additions at known distances from one index, four at a time."""
+    lines = []
+    for first in range(0, max(row) + 1, 4):
+        distances = range(first, min(first + 4, max(row) + 1))
+        values = ", ".join(row.get(distance, "Floats{}") for distance in distances)
+        lines.append(f"add(tables[{table}], {base} + {first}, {{{values}}}, lanes);")
     return lines

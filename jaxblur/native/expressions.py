@@ -45,6 +45,7 @@ class Value:
         table: whether it is an array that samples read at other pixels.
         channels: of an image that a pixel reads at its own place only; 0 for any other value.
         number: what it is, where that is known.
+        base: (expression, whole number) whose sum it is, where that is known.
         additions: (index, value) pairs, where it is a table that taps add to.
     """
 
@@ -54,6 +55,7 @@ class Value:
     table: bool = False
     channels: int = 0
     number: Any = None
+    base: tuple[str, int] | None = None
     additions: "tuple[tuple[Value, Value], ...]" = ()
 
     @property
@@ -263,6 +265,13 @@ def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
     return inputs[0] if name == "neg" and zeros[0] else None
 
 
+def _base(name: str, inputs: Sequence[Value]) -> tuple[str, int] | None:
+    """What an index is a known distance from."""
+    if name != "add" or inputs[1].dtype != "int32" or inputs[1].number is None:
+        return None
+    return inputs[0].code, int(inputs[1].number)
+
+
 class Writer:
     """Collects the statements of each level while walking through jaxprs.
 
@@ -359,7 +368,7 @@ class Writer:
         code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
         if code == inputs[0].code:
             return inputs[0]
-        return self.define(code, dtype, level)
+        return dataclasses.replace(self.define(code, dtype, level), base=_base(name, inputs))
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""

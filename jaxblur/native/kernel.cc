@@ -134,9 +134,50 @@ static inline void store(float* row, Floats values, int lanes) {
   }
 }
 
-/* Lanes may meet at one place, so they add in turn. */
-static inline void add(float* table, Ints index, Floats values, int lanes) {
-  for (int k = 0; k < lanes; ++k) table[index[k]] += values[k];
+/* Four vectors as rows of four, one a lane: that of lane 4 p + k is part p of rows[k]. */
+#if defined(__AVX512F__)
+static inline void make_rows(const Floats* a, Floats* rows) {
+  const __m512 low = _mm512_unpacklo_ps((__m512)a[0], (__m512)a[1]);
+  const __m512 high = _mm512_unpackhi_ps((__m512)a[0], (__m512)a[1]);
+  const __m512 more_low = _mm512_unpacklo_ps((__m512)a[2], (__m512)a[3]);
+  const __m512 more_high = _mm512_unpackhi_ps((__m512)a[2], (__m512)a[3]);
+  rows[0] = (Floats)_mm512_unpacklo_pd((__m512d)low, (__m512d)more_low);
+  rows[1] = (Floats)_mm512_unpackhi_pd((__m512d)low, (__m512d)more_low);
+  rows[2] = (Floats)_mm512_unpacklo_pd((__m512d)high, (__m512d)more_high);
+  rows[3] = (Floats)_mm512_unpackhi_pd((__m512d)high, (__m512d)more_high);
+}
+#else
+static inline void make_rows(const Floats* a, Floats* rows) {
+  for (int lane = 0; lane < LANES; ++lane)
+    for (int c = 0; c < 4; ++c) rows[lane % 4][lane / 4 * 4 + c] = a[c][lane];
+}
+#endif
+
+/* Adds a row of neighbors a lane. Lanes may meet at one place, so they add in turn. Only rows of
+   four are added whole: others would overlap, and what was just stored in part is slow to load. */
+template <int COLUMNS>
+static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS], int lanes) {
+  typedef float Four __attribute__((vector_size(16)));
+  Floats padded[4] = {}, rows[4];
+  for (int c = 0; c < COLUMNS; ++c) padded[c] = values[c];
+  make_rows(padded, rows);
+  float memory[4][LANES];
+  int32_t places[LANES];
+  memcpy(memory, rows, sizeof memory);
+  memcpy(places, &index, sizeof places);
+  for (int k = 0; k < lanes; ++k) {
+    float* place = table + places[k];
+    const float* row = memory[k % 4] + k / 4 * 4;
+    if (COLUMNS == 4) {
+      Four sum, more;
+      memcpy(&sum, place, sizeof sum);
+      memcpy(&more, row, sizeof more);
+      sum += more;
+      memcpy(place, &sum, sizeof sum);
+    } else {
+      for (int c = 0; c < COLUMNS; ++c) place[c] += row[c];
+    }
+  }
 }
 
 static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
