@@ -43,6 +43,17 @@ def test_the_output_is_the_filtered_color_and_everything_else_is_untouched(tmp_p
         np.testing.assert_array_equal(read_raw(out, index)[1], read_raw(CAR, index)[1])
 
 
+def test_a_spacing_is_passed_on(tmp_path):
+    out = tmp_path / "out.exr"
+    assert run("blur", CAR, "-o", out, *FEW, "--spacing", "4").status == 0
+    settings = jaxblur.Settings(samples=7, radius=25, spacing=4.0)
+    frame = jaxblur.read_frame(CAR)
+    blurred = np.asarray(jaxblur.guertin2014(frame, jaxblur.GuertinParameters(), settings=settings))
+    stored = exr.read_image(out)
+    np.testing.assert_array_equal(stored, blurred.astype(np.float16).astype(np.float32))
+    assert tomllib.loads(attributes(out)["jaxblur:settings"])["spacing"] == 4
+
+
 def test_it_says_on_stderr_what_was_decided_and_why(tmp_path):
     err = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW).err
     assert "jaxblur: vectors: blender: found ViewLayer.Vector.X" in err

@@ -18,7 +18,7 @@ _PACKAGE = pathlib.Path(__file__).parents[1]
 _NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show", "vectors"}
 _SOURCES = {".py", ".cc"}
 SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
-_NUMBERS = ("samples", "radius")
+_NUMBERS = {"samples": int, "radius": int, "spacing": float}
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
 IDENTITY_COLUMNS = (*SUBJECT_COLUMNS, "method", *SETTINGS)
 
@@ -108,7 +108,7 @@ class Row:
         automatic = texts.get("radius") == AUTO
         if automatic:
             del texts["radius"]
-        values: dict[str, Any] = {n: int(v) if n in _NUMBERS else v for n, v in texts.items()}
+        values: dict[str, Any] = {n: _NUMBERS.get(n, str)(text) for n, text in texts.items()}
         return Case(self["method"], Settings(**values), automatic)
 
 

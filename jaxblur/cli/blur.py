@@ -176,7 +176,7 @@ def _fitted(path: pathlib.Path | None) -> Any:
 
 
 def _check_plan(arguments: argparse.Namespace) -> None:
-    names = ("filter", "samples", "radius", "param", "parameters", *CHOICES)
+    names = ("filter", "samples", "radius", "spacing", "param", "parameters", *CHOICES)
     excluded = names if arguments.plan else ("tolerance", "budget")
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.

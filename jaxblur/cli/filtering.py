@@ -8,7 +8,7 @@ from typing import Any
 from jaxblur.settings import CHOICES, Settings
 
 from . import published
-from .arguments import CommandError, one_of, positive_integer
+from .arguments import CommandError, one_of, positive_integer, positive_number
 from .console import print_line
 
 
@@ -40,6 +40,13 @@ def add_filter_options(
         type=_radius,
         metavar="auto|PX",
         help="longest half-spread; auto takes it from the frame (as published)",
+    )
+    group.add_argument(
+        "--spacing",
+        type=positive_number,
+        metavar="PX",
+        help="pixels of path that a sample stands for at least, so that slow motion takes fewer; "
+        "0.7 is not seen (default: all samples everywhere)",
     )
     group.add_argument(
         "--param",
@@ -116,7 +123,7 @@ def complete(
         source = str(arguments.parameters)
         fitted_values = published.checked_parameters(name, fitted.parameters, source)
         settings, values = fitted.settings, fitted_values | values
-    names = ("samples", "radius", *CHOICES)
+    names = ("samples", "radius", "spacing", *CHOICES)
     given = {key: value for key in names if (value := getattr(arguments, key))}
     chosen = Settings(**settings | given)
     if name == "mcguire2012" and chosen.samples % 2 == 0:

@@ -115,7 +115,7 @@ class FitResult:
     free: tuple[str, ...]
     minimized: str
     objective: dict[str, str | int]
-    settings: dict[str, str | int]
+    settings: dict[str, str | int | float]
     notes: dict[str, str | int | float]
     steps: int
     interrupted: bool
