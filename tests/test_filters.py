@@ -309,7 +309,7 @@ def test_parameters_of_another_filter_are_refused():
 @pytest.mark.parametrize("name", ["guertin2014", "pixel_velocity", "layered"])
 def test_a_spacing_leaves_the_samples_that_the_path_needs(name):
     frame = random_frame((13, 17))
-    velocity = np.broadcast_to(np.float32([3.2, 0.0]), (13, 17, 2))
+    velocity = jnp.broadcast_to(jnp.asarray([3.2, 0.0], jnp.float32), (13, 17, 2))
     frame = jaxblur.Frame(frame.color, frame.depth, velocity)
     slices = 3 if name == "layered" else 1
     few = change(samples=9 * slices, noise="none")

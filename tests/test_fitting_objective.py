@@ -198,6 +198,7 @@ def test_frames_with_and_without_a_curved_path_are_stacked_apart():
     batches = batches_of(plain, curved, curved)
     assert [batch.truth.shape[0] for batch in batches] == [1, 2]
     assert batches[0].frame.path is None
+    assert batches[1].frame.path is not None
     np.testing.assert_array_equal(batches[1].frame.path[0], path)
     assert sum(float(batch.weight.sum()) for batch in batches) == pytest.approx(1)
 
