@@ -137,19 +137,10 @@ def fit(
     data = _data(training, held_out)
     final, interrupted = _descend(task, start, data, steps, optimizer, callback, state, resume)
     fitted = task.parameters(final.free)
-    choices: dict[str, str | int] = {
-        **{"loss": over, "pixel": pixel, "noise": noise, "noise_draws": noise_draws},
-        "mask": mask if isinstance(mask, str) else "none" if mask is None else "arrays",
-        "seed": str(jax.random.key_data(key).tolist()),
-    }
     judged: dict[str, Any] = {"scores": (), "sensitivity": None}
     if not interrupted:
         compared = {"published": published, "fitted": fitted}
-        unseen = jax.random.fold_in(key, EVALUATION)
-        judged = {
-            "scores": _scores(name, compared, (training, held_out), settings, unseen),
-            "sensitivity": sensitivity(task, final.free, jax.random.fold_in(key, SENSITIVITY)),
-        }
+        judged = _judged(task, final, compared, (training, held_out), key)
     return FitResult(
         filter=name,
         parameters=fitted,
@@ -157,7 +148,7 @@ def fit(
         published=published,
         free=free,
         minimized=objective.describe(),
-        objective=choices,
+        objective=_choices(objective, mask, key),
         settings=dataclasses.asdict(settings),
         notes=dict(notes or {}),
         steps=len(final.losses),
@@ -167,6 +158,30 @@ def fit(
         versions=_versions(),
         **judged,
     )
+
+
+def _judged(
+    task: Task,
+    final: State,
+    compared: Mapping[str, Mapping[str, float]],
+    parts: tuple[Sequence[Pair], Sequence[Pair]],
+    key: jax.Array,
+) -> dict[str, Any]:
+    """Scores under noise that the fit has not seen, and how well the data determine the values."""
+    objective, unseen = task.objective, jax.random.fold_in(key, EVALUATION)
+    return {
+        "scores": _scores(objective.filter_name, compared, parts, objective.settings, unseen),
+        "sensitivity": sensitivity(task, final.free, jax.random.fold_in(key, SENSITIVITY)),
+    }
+
+
+def _choices(objective: Objective, mask: Any, key: jax.Array) -> dict[str, str | int]:
+    """What was chosen about the loss, for the report."""
+    names = {"over": "loss", "pixel": "pixel", "noise": "noise", "noise_draws": "noise_draws"}
+    return {label: getattr(objective, name) for name, label in names.items()} | {
+        "mask": mask if isinstance(mask, str) else "none" if mask is None else "arrays",
+        "seed": str(jax.random.key_data(key).tolist()),
+    }
 
 
 def _fields(record: Any) -> dict[str, float]:
