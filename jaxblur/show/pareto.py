@@ -11,6 +11,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+POINTS = 72
+"""Of an inch; label sizes are in them."""
+LABEL_WIDTH, LABEL_HEIGHT = 3.6, 8
+"""Of a character."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
@@ -72,7 +77,8 @@ def pareto(
         points: at least one.
         time_label: of the horizontal axis.
         error_label: of the vertical axis.
-        labels: which points carry their label: ``front`` (and the published ones), ``all`` or
+        labels: which points carry their label: ``front`` (and the published ones, as far as they
+            do not cover one another), ``all`` or
             ``none``.
         axes: where to draw.
 
@@ -101,7 +107,9 @@ def pareto(
     groups = list(dict.fromkeys(point.group for point in points))
     for number, group in enumerate(groups):
         _draw_group(axes, [p for p in points if p.group == group], group, number)
-    wanted = {"all": points, "none": (), "front": [p for p in points if p in front or p.published]}
+    axes.autoscale_view()
+    told = [p for p in points if p in front or p.published]
+    wanted = {"all": points, "none": (), "front": _legible(axes, told)}
     for point in wanted[labels]:
         _draw_label(axes, point)
     axes.set(xlabel=time_label, ylabel=error_label)
@@ -148,6 +156,20 @@ def _draw_group(axes: Any, points: Sequence[Measurement], group: str, number: in
             axes.plot(point.time_range, [point.error] * 2, color=color, linewidth=1, zorder=2)
         if point.error_range:
             axes.plot([point.time] * 2, point.error_range, color=color, linewidth=1, zorder=2)
+
+
+def _legible(axes: Any, points: Sequence[Measurement]) -> list[Measurement]:
+    """Points whose labels cover no other; published ones come first, then the quickest."""
+    chosen: list[tuple[Measurement, float, float]] = []
+    for point in sorted(points, key=lambda p: (not p.published, p.time)):
+        x, y = axes.transData.transform((point.time, point.error)) * POINTS / axes.figure.dpi
+        if all(
+            abs(y - other_y) > LABEL_HEIGHT
+            or not -LABEL_WIDTH * len(point.label) < x - other_x < LABEL_WIDTH * len(other.label)
+            for other, other_x, other_y in chosen
+        ):
+            chosen.append((point, x, y))
+    return [point for point, _, _ in chosen]
 
 
 def _draw_label(axes: Any, point: Measurement) -> None:
