@@ -114,13 +114,13 @@ show.image_grid(images | {"pixel_velocity, 15 taps": plain, "truth": truth}, col
 # ## Let the frame choose
 #
 # `plan` looks at speeds, angles and depth layers of a frame and picks the cheapest filter that it
-# expects to stay within a tolerance. It says why, and what it expects to lose.
+# expects to stay within a tolerance of `layered`. It says why, and what it expects to lose.
 
 # %%
 planned = jaxblur.plan(frame, tolerance_db=0.5)
 print(planned.reason)
 result = jaxblur.FILTERS[planned.filter](frame, planned.parameters, settings=planned.settings)
-full = jaxblur.guertin2014(frame, PARAMETERS, settings=jaxblur.Settings(samples=35, radius=20))
+full = jaxblur.layered(frame, jaxblur.LayeredParameters())
 for name, image in {"planned": result, "full filter": full}.items():
     print(f"{name:12} PSNR {metrics.compare(image, truth).psnr:.2f} dB")
 
