@@ -205,12 +205,12 @@ def test_the_settings_search_measures_and_chooses():
     assert (search.choice.samples, search.choice.radius) == (best.samples, best.radius)
     assert search.choice.samples == 41 and search.choice.radius > 4
     np.testing.assert_allclose(best.psnr, -10 * np.log10(best.error))
-    times = {(c.samples, c.radius): c.milliseconds for c in search.candidates}
-    assert list(times.values()) == sorted(times.values())
-    assert times[41, 4] > times[3, 4]
+    times = [candidate.milliseconds for candidate in search.candidates]
+    assert times == sorted(times) and times[0] > 0
 
     loose = search_settings("guertin2014", pairs, tolerance=1e6, **grid)
-    assert loose.choice.samples == 3
+    # On a busy machine that need not be the one with the fewest samples.
+    assert loose.choice == loose.candidates[0]
     with pytest.raises(ValueError, match="`budget_ms` must allow at least one of"):
         search_settings("guertin2014", pairs, budget_ms=1e-6, **grid)
     with pytest.raises(ValueError, match="give either `budget_ms` or `tolerance`"):
