@@ -36,9 +36,8 @@ def gather_samples(
         stages: ``moving(local, tables)`` gives a (H, W, 1) bool plane, the pixels that are
             computed, and what it found out; ``prepare(local, tables, found)`` a pytree of
             (H, W, 1) planes and scalars; ``sample(indices (n,), prepared, tables)`` a tuple of
-            (H, W, n) terms;
-            ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results. Elementwise but for
-            reads of the tables. Part of the compilation key.
+            (H, W, n) terms; ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results.
+            Elementwise but for reads of the tables. Part of the compilation key.
         count: number of samples N.
         kept: (H, W, K) image, what the other pixels keep, K at most the number R of results;
             further channels are 0 there.
@@ -90,7 +89,10 @@ def _by_stages(
     local, tables = plan.operands(leaves)
     moving, found = stages.moving(local, tables)
     prepared = stages.prepare(local, tables, found)
-    sums = sum_samples(stages.sample, plan.count, moving[..., 0], prepared, tables, plan.backend)
+    sums = sum_samples(
+        *(stages.sample, plan.count, moving[..., 0], prepared, tables),
+        *(plan.backend, stages.limit),
+    )
     results = stages.finish(tuple(total[..., None] for total in sums), prepared, local)
     return moving, jnp.concatenate(results, axis=-1)
 

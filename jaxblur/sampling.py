@@ -1,8 +1,7 @@
 """Taps along a line: their positions, and how they are read."""
 
-import operator
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,7 +60,12 @@ def path_samples(
 
 def sample_limit(settings: Settings) -> Callable[..., jax.Array] | None:
     """Where the samples end, for `jaxblur.native.Stages`."""
-    return None if settings.spacing == 0 else operator.itemgetter("count")
+    return None if settings.spacing == 0 else _count
+
+
+def _count(prepared: Mapping[str, Any]) -> jax.Array:
+    """What `path_samples` prepared."""
+    return prepared["count"]
 
 
 def tap_position(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur import native, sample_sums, sampling
+from jaxblur import gathers, native, sample_sums, sampling
 from jaxblur.native import build, emit
 from jaxblur.settings import Backend
 
@@ -259,6 +259,26 @@ def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path
     folder = tmp_path / "jaxblur" / "kernels"
     assert [path.name for path in folder.iterdir()] == [f"{name}.so" for name in names]
     assert folder.stat().st_mode & 0o077 == 0
+
+
+def test_samples_beyond_the_limit_are_left_out_of_values_and_derivatives():
+    # Their terms should be 0; these are not, so that one sees how many were summed.
+    stages = native.Stages(
+        moving=lambda local, _: (local > 0, ()),
+        prepare=lambda local, tables, found: local,
+        sample=lambda index, local, tables: (local + 0.0 * index,),
+        finish=lambda sums, *_: sums,
+        limit=lambda local: jnp.full_like(local, 3.0),
+    )
+    plane = jnp.ones((5, 19, 1), jnp.float32)
+
+    def total(plane):
+        return gathers.gather_samples(stages, 9, jnp.zeros_like(plane), plane, (), "native")
+
+    value, change = jax.jvp(total, (plane,), (plane,))
+    np.testing.assert_array_equal(total(plane), 3)
+    np.testing.assert_array_equal(value, 3)
+    np.testing.assert_array_equal(change, 3)
 
 
 def test_the_oldest_kernels_go_first(monkeypatch, tmp_path):

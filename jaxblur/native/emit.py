@@ -95,7 +95,8 @@ class _Program:
         if limit is None:
             return
         (value,), _ = self.write(limit, (shapes,), prepared)
-        code = f"to_ints({value.code})" if value.dtype == "float32" else value.code
+        code = value.code if value.wide else f"wide({value.code})"
+        code = f"to_ints({code})" if value.dtype == "float32" else code
         self.writer.statements[Level.PIXEL].append(f"last = largest({code} & moving);")
 
     def sums(self, terms: Sequence[Value]) -> list[Value]:
