@@ -125,8 +125,8 @@ def mcguire2012(
     Args:
         frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels.
         parameters: the extent of the soft depth comparison.
-        settings: samples (odd), radius, spacing, border, fetch and noise; tile choice and split do not
-            apply, a pixel reads its own tile.
+        settings: samples (odd), radius, spacing, border, fetch and noise; tile choice and split
+            do not apply, a pixel reads its own tile.
         noise: replaces the built-in noise; only ``tap`` is used.
 
     Returns:
