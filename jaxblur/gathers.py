@@ -56,6 +56,44 @@ def gather_samples(
     return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])
 
 
+def everywhere(prepare: Callable[..., Any]) -> Stages:
+    """Stages of a pass over all pixels, in which nothing but `prepare` happens.
+
+    Args:
+        prepare: from (local, tables, found) to the results, a sequence of (H, W, 1) planes.
+
+    Returns:
+        Stages for `gather_samples` with one sample.
+    """
+    return alone(_all_pixels, prepare)
+
+
+def alone(moving: Callable[..., Any], prepare: Callable[..., Any]) -> Stages:
+    """Stages without samples.
+
+    Args:
+        moving: as that of `Stages`.
+        prepare: from (local, tables, found) to the results, a sequence of (H, W, 1) planes.
+
+    Returns:
+        Stages for `gather_samples` with one sample.
+    """
+    return Stages(moving, prepare, _as_prepared, _as_summed)
+
+
+def _all_pixels(local: Any, _tables: Any) -> tuple[jax.Array, tuple[()]]:
+    height, width, _ = jax.tree.leaves(local)[0].shape
+    return jnp.ones((height, width, 1), bool), ()
+
+
+def _as_prepared(_index: jax.Array, prepared: Any, _tables: Any) -> tuple[jax.Array, ...]:
+    return tuple(prepared)
+
+
+def _as_summed(sums: tuple[jax.Array, ...], *_: Any) -> tuple[jax.Array, ...]:
+    return sums
+
+
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _gather(plan: Plan, stages: Stages, kept: jax.Array, leaves: list[jax.Array]) -> jax.Array:
     """The results, without derivatives."""

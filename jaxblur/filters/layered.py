@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import gather_samples
+from ..gathers import everywhere, gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -30,11 +30,11 @@ from ..sampling import (
     sample_limit,
 )
 from ..settings import Settings
-from ..tiles import clamp_speed, own_tile
+from ..tiles import own_tile
 from ..weights import SPEED_FLOOR, finite_depth
 from .masking import honoring_mask
 from .reaching import fine_tile, reaching_pixels
-from .silhouettes import purest_motion
+from .silhouettes import purest_motion, taken_from
 
 GUESSES = 3
 
@@ -91,8 +91,7 @@ def _guess(size, border, interpolates, time, way, tables, local):
     (x, y), (turn_x, turn_y), (bend_x, bend_y), own = way
     squared = time * time
     texels = read_position(squared * bend_x - time * x, squared * bend_y - time * y, size, border)
-    width = tables["motion"].size // (size[0] * size[1])
-    read_x, read_y, depth, *_ = read_row(tables["motion"], texels.index, width)
+    read_x, read_y, depth, _ = read_row(tables["motion"], texels.index, 4)
     apart_x, apart_y = read_x - x + time * turn_x, read_y - y + time * turn_y
     apart = jnp.square(apart_x) + jnp.square(apart_y)
     lands = jnp.clip(1.5 - squared * apart * local["inverse_tolerance"], 0, 1)
@@ -152,32 +151,53 @@ def _slice(size, settings, count, index, local, tables):
     return (*mixed, weight)
 
 
+def _within(x, y, longest):
+    """What a vector times so much is no longer than."""
+    return longest / jnp.maximum(safe_norm(x, y), longest)
+
+
+def _own_motion(radius, local, *_):
+    """Velocity within the radius x, y, and log depth."""
+    if "path" in local:
+        opening_x, opening_y, closing_x, closing_y = (channel(local["path"], k) for k in range(4))
+        x, y = (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
+    else:
+        x, y = (channel(local["velocity"], k) for k in range(2))
+    shorter = _within(x, y, radius)
+    return [x * shorter, y * shorter, jnp.log(finite_depth(local["depth"]))]
+
+
 def _motion(frame, parameters, settings):
-    """Velocity x, y, log depth, and with a path half the acceleration x, y: (H, W, 3 or 5)."""
-    velocity, half = frame.velocity, ()
+    """The motions of `purest_motion`, (H, W, 4)."""
+    local = {"velocity": frame.velocity, "depth": frame.depth[..., None]}
     if frame.path is not None:
-        opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
-        # What bends is as long as the radius at the most, so that taps have a farthest place.
-        bent, _ = clamp_speed((opening + closing) / 2, settings.radius)
-        velocity, half = (closing - opening) / 2, (bent,)
-    speed = safe_norm(velocity[..., 0], velocity[..., 1])
-    longest = jnp.asarray(settings.radius, velocity.dtype)
-    shorter = (longest / jnp.maximum(speed, longest))[..., None]
-    depth = jnp.log(finite_depth(frame.depth))[..., None]
-    motion = [velocity * shorter, depth, *(bent * shorter for bent in half)]
+        local["path"] = frame.path.reshape(*frame.depth.shape, 4)
+    prepare = functools.partial(_own_motion, settings.radius)
+    motion = gather_samples(everywhere(prepare), 1, frame.velocity, local, {}, settings.backend)
     return purest_motion(
-        *(jnp.concatenate(motion, axis=-1), parameters.surface_sharpness),
-        *(parameters.thin_coverage, settings.backend),
+        motion, parameters.surface_sharpness, parameters.thin_coverage, settings.backend
     )
 
 
-def _reaching_velocities(motion, radius):
+def _half_acceleration(size, radius, taken, tables):
+    """Half the acceleration of the path that a pixel's motion is from, x, y."""
+    across, down = taken_from(taken)
+    index = read_position(across, down, size, "clamp").index
+    opening_x, opening_y, closing_x, closing_y = read_row(tables["path"], index, 4)
+    x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
+    # No longer than the radius, so that taps have a farthest place, and shorter by as much as the
+    # velocity is.
+    shorter = _within((closing_x - opening_x) / 2, (closing_y - opening_y) / 2, radius)
+    shorter = shorter * _within(x, y, radius)
+    return [x * shorter, y * shorter]
+
+
+def _reaching_velocities(motion, depth, radius):
     """The two velocities that matter in each fine tile, (rows, columns, 4); 0 for none."""
-    x, y, log_depth = (motion[..., k] for k in range(3))
     # Clamped vectors tie in a tile maximum, whatever rounding made of them.
-    speed = safe_norm(x, y)
+    speed = safe_norm(motion[..., 0], motion[..., 1])
     speed = jnp.where(speed > radius * (1 - 1e-5), jnp.asarray(radius, speed.dtype), speed)
-    pixels = reaching_pixels(x, y, speed, log_depth, radius)
+    pixels = reaching_pixels(motion, speed, finite_depth(depth), radius)
     vectors = motion.reshape(-1, motion.shape[-1])[pixels, :2]
     vectors = jnp.where((pixels >= 0)[..., None], vectors, 0)
     return jnp.concatenate(list(vectors), axis=-1)
@@ -185,12 +205,12 @@ def _reaching_velocities(motion, radius):
 
 def _turn(size, motion, local, tables):
     """Change of velocity along the own way, (v . grad) v; 0 beyond the ends of the surface."""
-    x, y, own_depth, *_ = motion
+    x, y, own_depth, _ = motion
     squared = jnp.square(x) + jnp.square(y)
 
     def change(side):
         index = read_position(side * x, side * y, size, "clamp").index
-        near_x, near_y, depth = read_row(tables["motion"], index, len(motion))[:3]
+        near_x, near_y, depth = read_row(tables["motion"], index, 4)[:3]
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - own_depth) * local["surface_sharpness"]
         alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)
@@ -232,7 +252,7 @@ def _ways(velocity, half, turn, others, local):
 
 def _is_moving(settings, local, tables):
     """Whether a pixel moves, or anything reaches its tile; its motion, and what reaches it."""
-    motion = [channel(local["motion"], k) for k in range(local["motion"].shape[-1])]
+    motion = [channel(local["motion"], k) for k in range(4)]
     tile = own_tile(local["motion"].shape, fine_tile(settings.radius))
     velocities = read_row(tables["others"], tile, 4)
     reached = functools.reduce(jnp.logical_or, [part != 0 for part in velocities])
@@ -249,7 +269,10 @@ def _path_slices(squared, others, settings):
 
 def _prepare(size, settings, local, tables, found):
     """What the slices of a pixel use as it is."""
-    (x, y, depth, *half), velocities = found
+    (x, y, depth, taken), velocities = found
+    half = ()
+    if "path" in tables:
+        half = _half_acceleration(size, settings.radius, taken, tables)
     others = _others(x, y, velocities, local)
     squared = jnp.square(x) + jnp.square(y)
     tolerance = jnp.square(local["own_tolerance"]) * (squared + SPEED_FLOOR**2)
@@ -326,8 +349,10 @@ def layered(
     images = {
         "motion": motion,
         "color": frame.color,
-        "others": _reaching_velocities(motion, settings.radius),
+        "others": _reaching_velocities(motion, frame.depth, settings.radius),
     }
+    if frame.path is not None:
+        images["path"] = frame.path
     tables = {name: image.reshape(-1) for name, image in images.items()}
     count = settings.samples // GUESSES
     stages = Stages(

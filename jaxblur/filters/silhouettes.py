@@ -11,8 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..gathers import gather_samples
-from ..native import Stages
+from ..gathers import alone, gather_samples
 from ..sampling import channel, read_nearest, read_row
 from ..settings import Backend
 from ..weights import SPEED_FLOOR
@@ -57,10 +56,9 @@ def _unmixed(vector, other, thin, coverage):
 
 def _jumps(size, local, tables):
     """Whether there is a jump of depth beside the pixel; how far the neighbors are behind it."""
-    width = local["motion"].shape[-1]
     near = [_neighbor(size, *offset) for offset in NEIGHBORS]
     own = channel(local["motion"], 2)
-    depths = [read_nearest(tables["motion"], index * width + 2) for index in near]
+    depths = [read_nearest(tables["motion"], index * 3 + 2) for index in near]
     behind = [(depth - own) * local["separation"] for depth in depths]
     jumps = functools.reduce(jnp.logical_or, [jnp.abs(step) > 1 for step in behind])
     return jumps, (near, behind)
@@ -69,8 +67,8 @@ def _jumps(size, local, tables):
 def _prepare(local, tables, found):
     """The motion that `purest_motion` finds."""
     near, behind = found
-    motion = [channel(local["motion"], k) for k in range(local["motion"].shape[-1])]
-    vectors = [read_row(tables["motion"], index, len(motion)) for index in near]
+    motion = [channel(local["motion"], k) for k in range(3)]
+    vectors = [read_row(tables["motion"], index, 3)[:2] for index in near]
     other = [jnp.abs(step) > 1 for step in behind]
     count = jnp.maximum(_count(other, motion[0].dtype), 1)
     mean = [
@@ -82,23 +80,24 @@ def _prepare(local, tables, found):
     def unlikeness(vector):
         return jnp.square(vector[0] - mean[0]) + jnp.square(vector[1] - mean[1])
 
-    best, taken = unlikeness(motion), motion
-    for apart, vector in zip(other, vectors, strict=True):
+    best, taken, number = unlikeness(motion), motion[:2], jnp.zeros_like(motion[0])
+    for apart, vector, (down, right) in zip(other, vectors, NEIGHBORS, strict=True):
         distance = unlikeness(vector)
         take = (distance > best) & ~apart
         best = jnp.where(take, distance, best)
         taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
+        number = jnp.where(take, 3.0 * down + right, number)
     thin = _count([step > 1 for step in behind], motion[0].dtype) >= THIN
-    velocity = _unmixed(taken[:2], mean, thin, local["coverage"])
-    return [*velocity, motion[2], *taken[3:]]
+    velocity = _unmixed(taken, mean, thin, local["coverage"])
+    return [*velocity, motion[2], number]
 
 
 def purest_motion(
-    motion: Float[Array, "height width components"],
+    motion: Float[Array, "height width 3"],
     separation: Float[Array, ""],
     coverage: Float[Array, ""],
     backend: Backend,
-) -> Float[Array, "height width components"]:
+) -> Float[Array, "height width 4"]:
     """At a jump of depth, the motion of the own side that is least like the other side.
 
     Of the 3 x 3 neighbors those within ``1 / separation`` of the pixel in log depth are its own
@@ -110,21 +109,29 @@ def purest_motion(
     background that does not is at rest.
 
     Args:
-        motion: velocity in pixels, x and y; the natural logarithm of the depth; and what else
-            belongs to a motion.
+        motion: velocity in pixels, x and y, and the natural logarithm of the depth.
         separation: per unit of log depth, > 0; 20 tells depths apart that differ by 5 percent.
         coverage: least share of a pixel that something one pixel wide covers, in (0, 1].
         backend: see `jaxblur.Settings`.
 
     Returns:
-        The same with other motions; depths stay. The derivative is that of the motion taken.
+        The same with other motions, depths stay; and the number of the pixel that a motion was
+        taken from, see `taken_from`. The derivative is that of the motion taken.
     """
     height, width, _ = motion.shape
     local = {"motion": motion, "separation": separation, "coverage": coverage}
-    stages = Stages(
-        moving=functools.partial(_jumps, (height, width)),
-        prepare=_prepare,
-        sample=lambda index, prepared, tables: tuple(prepared),
-        finish=lambda sums, *_: sums,
-    )
+    stages = alone(functools.partial(_jumps, (height, width)), _prepare)
     return gather_samples(stages, 1, motion, local, {"motion": motion.reshape(-1)}, backend)
+
+
+def taken_from(number: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], ...]:
+    """Offset of the pixel that a motion was taken from.
+
+    Args:
+        number: as `purest_motion` returns it, three times the rows and the columns to it.
+
+    Returns:
+        Whole pixels to the right and downward, -1 to 1 each.
+    """
+    down = jnp.floor(number / 3 + 0.5)
+    return number - 3 * down, down

@@ -76,12 +76,37 @@ LANE_BY_LANE(ceilf)
 LANE_BY_LANE(cosf)
 LANE_BY_LANE(expf)
 LANE_BY_LANE(log1pf)
-LANE_BY_LANE(logf)
 LANE_BY_LANE(rintf)
 LANE_BY_LANE(roundf)
 LANE_BY_LANE(sinf)
 LANE_BY_LANE(sqrtf)
 LANE_BY_LANE(tanhf)
+
+/* Natural logarithm, within two units in the last place [Cephes]: of m 2^exponent, m in
+   [sqrt(1/2), sqrt(2)), that of m by a polynomial in m - 1. */
+static inline Floats logf(Floats a) {
+  const Ints usual = (a >= 0x1p-126f) & (a < INFINITY);
+  if (largest(~usual & 1)) {
+    Floats result;
+    for (int k = 0; k < LANES; ++k) result[k] = ::logf(a[k]);
+    return result;
+  }
+  const Ints bits = (Ints)a;
+  const Floats half = (Floats)((bits & 0x7fffff) | 0x3f000000); /* in [1/2, 1) */
+  const Ints low = half < 0x1.6a09e6p-1f;
+  const Floats exponent = to_floats((bits >> 23) - 126 + low);
+  const Floats x = (low ? half + half : half) - 1.0f;
+  Floats y = 7.0376836292e-2f * x - 1.1514610310e-1f;
+  y = y * x + 1.1676998740e-1f;
+  y = y * x - 1.2420140846e-1f;
+  y = y * x + 1.4249322787e-1f;
+  y = y * x - 1.6668057665e-1f;
+  y = y * x + 2.0000714765e-1f;
+  y = y * x - 2.4999993993e-1f;
+  y = y * x + 3.3333331174e-1f;
+  y = y * x * x * x - 2.12194440e-4f * exponent - 0.5f * x * x;
+  return x + y + 0.693359375f * exponent;
+}
 
 #define LANE_BY_LANE_OF_TWO(name)                                   \
   static inline Floats name(Floats a, Floats b) {                   \
