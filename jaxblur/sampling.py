@@ -24,9 +24,9 @@ class Texels(NamedTuple):
     Attributes:
         index: row-major index of the nearest texel, inside the image.
         counts: False where the tap has no weight (outside the image under ``skip``).
-        column: of the texel to the left of the tap, possibly outside the image.
-        row: of the texel above the tap.
-        across: how far the tap is to the right of that, in [0, 1).
+        column: of the nearest texel, possibly outside the image.
+        row: of the nearest texel.
+        across: how far the tap is to the right of its middle, in [-1/2, 1/2).
         down: how far it is below.
     """
 
@@ -110,14 +110,20 @@ def read_position(
     height, width = size
     row = lax.broadcasted_iota(jnp.int32, (height, width, 1), 0)
     column = lax.broadcasted_iota(jnp.int32, (height, width, 1), 1)
-    left, top = jnp.floor(offset_x), jnp.floor(offset_y)
-    x = column + jnp.floor(offset_x + 0.5).astype(jnp.int32)
-    y = row + jnp.floor(offset_y + 0.5).astype(jnp.int32)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    index = jnp.clip(y, 0, height - 1) * width + jnp.clip(x, 0, width - 1)
+    right, down = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
+    x, y = column + right.astype(jnp.int32), row + down.astype(jnp.int32)
+    near_x, near_y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
+    inside = (near_x == x) & (near_y == y)
     counts = inside if border == "skip" else jnp.ones_like(inside)
-    corner = column + left.astype(jnp.int32), row + top.astype(jnp.int32)
-    return Texels(index, counts, *corner, offset_x - left, offset_y - top)
+    return Texels(near_y * width + near_x, counts, x, y, offset_x - right, offset_y - down)
+
+
+def _toward(share: jax.Array) -> tuple[Int[Array, "*shape"], jax.Array]:
+    """On which side of a texel's middle a tap is, -1 or 1, and how far.
+
+    In the middle the next texel is the one to the right or below, so that there is a derivative.
+    """
+    return jnp.where(share < 0, -1, 1), jnp.where(share < 0, -share, share)
 
 
 def read_nearest(
@@ -173,9 +179,8 @@ def read_color(
 ) -> tuple[Float[Array, "*shape"], ...]:
     """Read color at the taps.
 
-    ``bilinear`` mixes the texels at floor and floor + 1 (floor and ceil coincide at integers,
-    where the derivative with respect to the position would vanish); beyond the border the edge
-    texel continues. Differentiable in the color, and under ``bilinear`` in the position.
+    ``bilinear`` mixes the nearest texel and its neighbors on the side of the tap; beyond the border
+    the edge texel continues. Differentiable in the color, and under ``bilinear`` in the position.
 
     Args:
         table: color, flat.
@@ -190,13 +195,14 @@ def read_color(
     channels = table.size // (height * width)
     if fetch == "nearest":
         return read_row(table, texels.index, channels)
-    columns = [jnp.clip(texels.column + k, 0, width - 1) for k in (0, 1)]
-    rows = [jnp.clip(texels.row + k, 0, height - 1) * width for k in (0, 1)]
+    (right, across), (below, down) = _toward(texels.across), _toward(texels.down)
+    columns = [jnp.clip(texels.column + k, 0, width - 1) for k in (0, right)]
+    rows = [jnp.clip(texels.row + k, 0, height - 1) * width for k in (0, below)]
     corners = [read_row(table, row + column, channels) for row in rows for column in columns]
 
     def mix(a, b, c, d):
-        upper, lower = a + texels.across * (b - a), c + texels.across * (d - c)
-        return upper + texels.down * (lower - upper)
+        upper, lower = a + across * (b - a), c + across * (d - c)
+        return upper + down * (lower - upper)
 
     return tuple(mix(*values) for values in zip(*corners, strict=True))
 
@@ -223,14 +229,9 @@ def read_color_along(
     """
     height, width = size
     channels = table.size // (height * width)
-    share = jnp.where(along_x, texels.across, texels.down)
-    column = texels.column + jnp.where(along_x | (texels.across < 0.5), 0, 1)
-    row = texels.row + jnp.where(~along_x | (texels.down < 0.5), 0, 1)
-    step = along_x.astype(jnp.int32)
-
-    def read(column, row):
-        column, row = jnp.clip(column, 0, width - 1), jnp.clip(row, 0, height - 1)
-        return read_row(table, row * width + column, channels)
-
-    first, second = read(column, row), read(column + step, row + 1 - step)
+    step, share = _toward(jnp.where(along_x, texels.across, texels.down))
+    column = jnp.clip(texels.column + jnp.where(along_x, step, 0), 0, width - 1)
+    row = jnp.clip(texels.row + jnp.where(along_x, 0, step), 0, height - 1)
+    first = read_row(table, texels.index, channels)
+    second = read_row(table, row * width + column, channels)
     return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))

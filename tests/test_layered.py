@@ -155,11 +155,16 @@ def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
     np.testing.assert_array_equal(y, np.where(np.arange(8) < 4, 6, 0) * np.ones((8, 1)))
 
 
+def reaching(x, y, log_depth, radius):
+    motion = jnp.stack([x, y, log_depth], axis=-1)
+    speed = jnp.hypot(motion[..., 0], motion[..., 1])
+    return np.asarray(reaching_pixels(motion, speed, jnp.exp(motion[..., 2]), radius))
+
+
 def reached(velocity, at=(20, 20), radius=40):
     x, y = np.zeros((2, 80, 80), np.float32)
     x[at], y[at] = velocity
-    x, y = jnp.asarray(x), jnp.asarray(y)
-    first, second = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), radius))
+    first, second = reaching(x, y, np.zeros_like(x), radius)
     assert (second == -1).all(), "there is one motion only"
     assert set(first[first >= 0].tolist()) == {at[0] * 80 + at[1]}
     return {(int(row), int(column)) for row, column in np.argwhere(first >= 0)}
@@ -178,9 +183,7 @@ def test_the_second_motion_is_the_one_most_unlike_the_first():
     x[4, 4], x[4, 20], y[4, 36] = 30, 28, 9
     y[4, 20] = 1
     x[4, 36] = 14
-    x, y = jnp.asarray(x), jnp.asarray(y)
-    both = np.asarray(reaching_pixels(x, y, jnp.hypot(x, y), jnp.zeros_like(x), 40))
-    first, second = both[:, 0, 2]
+    first, second = reaching(x, y, np.zeros_like(x), 40)[:, 0, 2]
     assert first == 4 * 40 + 4 and second == 4 * 40 + 36
 
 
@@ -188,11 +191,10 @@ def test_what_is_fast_elsewhere_does_not_change_which_lines_cross_a_tile():
     frame = random_frame((300, 300), speed=14.0)
     velocity = frame.velocity.at[:20].multiply(3)
     x, y = jnp.clip(velocity, -25, 25)[..., 0], jnp.clip(velocity, -25, 25)[..., 1]
-    planes = x, y, jnp.hypot(x, y), jnp.log(jnp.minimum(frame.depth, 1e18))
+    planes = x, y, jnp.log(jnp.minimum(frame.depth, 1e18))
 
     def pixels(start):
-        x, y, speed, depth = (plane[start:] for plane in planes)
-        return np.asarray(reaching_pixels(x, y, speed, depth, 40))
+        return reaching(*(plane[start:] for plane in planes), 40)
 
     whole, part = pixels(0)[:, 5:], pixels(40)
     part = np.where(part >= 0, part + 40 * 300, -1)

@@ -83,7 +83,8 @@ def _times(index, count, jitter):
     center = 2 * (index + 0.5) - count
     side = jnp.sign(center)
     third, slice_length = 2 / GUESSES, 1 / count
-    return [(center + (side * k + jitter) * third) * slice_length for k in (0, -1, 1)]
+    jitter = jitter * third * slice_length
+    return [(center + side * k * third) * slice_length + jitter for k in (0, -1, 1)]
 
 
 def _guess(size, border, interpolates, time, way, tables, local):
@@ -98,7 +99,8 @@ def _guess(size, border, interpolates, time, way, tables, local):
     depth_apart = jnp.abs(depth - local["depth"])
     same = jnp.clip(1.5 - apart * local["inverse_own"], 0, 1)
     same = same * jnp.clip(1.5 - local["surface_sharpness"] * depth_apart, 0, 1)
-    lands = jnp.where(texels.counts, jnp.maximum(lands, own * same), 0)
+    same = own * same
+    lands = jnp.where(texels.counts, jnp.where(lands > same, lands, same), 0)
     if interpolates:
         color = read_color_along(tables["color"], texels, size, jnp.abs(x) >= jnp.abs(y))
     else:
@@ -106,18 +108,18 @@ def _guess(size, border, interpolates, time, way, tables, local):
     return texels, lands, depth, color
 
 
-def _in_front(sharpness, nearer, farther):
-    """How surely the first log depth is in front of the second, in [0, 1]."""
-    return jnp.clip(sharpness * (farther - nearer), 0, 1)
+def _in_front(nearer, farther):
+    """How surely the first is in front of the second, in [0, 1], by log depth times sharpness."""
+    return jnp.clip(farther - nearer, 0, 1)
 
 
-def _visible(lands, depths, sharpness):
+def _visible(lands, depths):
     """Share of each landed guess in what is seen, and the share that none of them fills."""
     shares = []
     for k, (own, depth) in enumerate(zip(lands, depths, strict=True)):
         for j, (other, other_depth) in enumerate(zip(lands, depths, strict=True)):
             if j != k:
-                own = own * (1 - other * _in_front(sharpness, other_depth, depth))
+                own = own * (1 - other * _in_front(other_depth, depth))
         shares.append(own)
     empty = functools.reduce(jnp.multiply, [1 - landed for landed in lands])
     total = functools.reduce(jnp.add, shares)
@@ -137,10 +139,12 @@ def _slice(size, settings, count, index, local, tables):
     ]
     texels, lands, depths, colors = zip(*guesses, strict=True)
     sharpness = local["front_sharpness"]
-    shares, empty = _visible(lands, depths, sharpness)
-    behind = _in_front(sharpness, local["depth"], depths[0])
+    depths = [sharpness * depth for depth in depths]
+    shares, empty = _visible(lands, depths)
+    behind = _in_front(sharpness * local["depth"], depths[0])
     shares[0] = shares[0] + empty * jnp.where(texels[0].counts, behind, 0)
-    shares = [jnp.where(index < count, share, 0) for share in shares]
+    if "count" in local:
+        shares = [jnp.where(index < count, share, 0) for share in shares]
     weight = functools.reduce(jnp.add, shares)
     mixed = [
         functools.reduce(

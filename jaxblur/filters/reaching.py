@@ -90,9 +90,8 @@ def reaching_pixels(
     lines = _Lines(pixel, motion, speed, winner.shape, radius)
     in_front = functools.partial(lines.in_front, farthest)
     first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
-    second = lines.highest(
-        lambda tile: lines.unlikeness(first[tile]) // jnp.where(in_front(tile), 1, BEHIND)
-    )
+    unlikeness = lines.unlikeness_to(first)
+    second = lines.highest(lambda tile: unlikeness(tile, jnp.where(in_front(tile), 1, 1 / BEHIND)))
     chosen = jnp.stack([first, second])
     return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, *winner.shape)
 
@@ -113,7 +112,7 @@ def _levels(size: int, count: int) -> int:
     return (2**31 - 1) // max(usual, count) - 1
 
 
-def _slowest_first(speed: jax.Array, longest: float) -> Int[Array, " lines"]:
+def _slowest_first(speed: jax.Array, radius: int) -> Int[Array, " lines"]:
     """Numbers of the lines in the order of their speeds; of equal ones the last line is first.
 
     By sorts of whole numbers, a digit of the speed and the place in each: XLA sorts one array of
@@ -122,7 +121,7 @@ def _slowest_first(speed: jax.Array, longest: float) -> Int[Array, " lines"]:
     count = speed.size
     place_bits = max(count - 1, 1).bit_length()
     digit_bits = 31 - place_bits
-    levels = jnp.round(speed / longest * (2**_SPEED_BITS - 1)).astype(jnp.int32)
+    levels = jnp.round(speed / radius * (2**_SPEED_BITS - 1)).astype(jnp.int32)
     places = jnp.arange(count, dtype=jnp.int32)
     order = places[::-1]
     for lowest in range(0, _SPEED_BITS, digit_bits):
@@ -162,13 +161,18 @@ class _Lines:
         """Whether each line is in front of the depth at one tile for each line."""
         return depth[tile] - self._depth > IN_FRONT
 
-    def unlikeness(self, first):
-        """What each line shows that another one for each line does not, in levels; -1 if alike."""
-        other = jnp.maximum(first, 0)
-        apart = safe_norm(self._x - self._x[other], self._y - self._y[other])
-        share = jnp.minimum(self._speed, apart) / self._radius
-        level = jnp.floor(jnp.clip(share, 0, 1) * self._levels).astype(jnp.int32)
-        return jnp.where(apart > ALIKE, level, -1)
+    def unlikeness_to(self, first):
+        """What each line shows that the tiles' first do not: levels times a factor, -1 if alike."""
+        first_x, first_y = self._x[jnp.maximum(first, 0)], self._y[jnp.maximum(first, 0)]
+        scale = self._levels / self._radius
+
+        def level(tile, factor):
+            apart = safe_norm(self._x - first_x[tile], self._y - first_y[tile])
+            share = jnp.minimum(jnp.minimum(self._speed, apart), self._radius)
+            share = jnp.floor(share * factor * scale).astype(jnp.int32)
+            return jnp.where(apart > ALIKE, share, -1)
+
+        return level
 
     def highest(self, level: Callable[[Array], Array]) -> Int[Array, " tiles"]:
         """Number of the line of the highest level of those that cross each tile, -1 for none.

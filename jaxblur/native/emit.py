@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .expressions import Level, Unsupported, Value, Writer
+from .expressions import Level, Read, Unsupported, Value, Writer
 
 TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
 _SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
@@ -70,7 +70,7 @@ class _Program:
         pairs = [self.writer.argument(k, *operand) for k, operand in enumerate(operands)]
         self._declarations = [declaration for declaration, _ in pairs]
         self.leaves = [value for _, value in pairs]
-        self._moving: list[str] = []
+        self._moving: list[str | Read] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
         self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept}
 
@@ -86,9 +86,8 @@ class _Program:
     def split(self, moving: Value) -> None:
         """What was written so far tells which pixels move; nothing else is done for the others."""
         code = moving.code if moving.wide else f"wide({moving.code})"
-        statements = self.writer.statements[Level.PIXEL]
-        self._moving = [*statements, f"const Ints moving = {code};"]
-        statements.clear()
+        self._moving = [*self.writer.statements[Level.PIXEL], f"const Ints moving = {code};"]
+        self.writer.statements[Level.PIXEL] = []
 
     def stop_at(self, limit: Callable[..., Any] | None, shapes: Any, prepared: Any) -> None:
         """Leave out the samples from a number on that depends on the pixel."""
@@ -130,7 +129,7 @@ class _Program:
         }
         sizes = {"TABLES": len(tables), "TABLE_SIZES": ", ".join(map(str, [*tables, 0]))}
         numbers = self._numbers | sizes | {"RESULTS": len(results)}
-        texts = {name: "\n".join(lines) for name, lines in parts.items()}
+        texts = {name: "\n".join(map(str, lines)) for name, lines in parts.items()}
         source = TEMPLATE.read_text(encoding="utf-8")
         for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
             source = source.replace(f"@{name}@", text)

@@ -46,6 +46,7 @@ class Value:
         channels: of an image that a pixel reads at its own place only; 0 for any other value.
         number: what it is, where that is known.
         base: (expression, whole number) whose sum it is, where that is known.
+        floored: the expression that it is the floor of, where that is known.
         additions: (index, value) pairs, where it is a table that taps add to.
     """
 
@@ -56,6 +57,7 @@ class Value:
     channels: int = 0
     number: Any = None
     base: tuple[str, int] | None = None
+    floored: str = ""
     additions: "tuple[tuple[Value, Value], ...]" = ()
 
     @property
@@ -67,6 +69,28 @@ class Value:
     def wide(self) -> bool:
         """Whether there is one value a lane."""
         return self.level >= Level.PIXEL
+
+
+class Read:
+    """A read of a table or an image; of two neighbors in memory the first reads both.
+
+    Attributes:
+        name: of the variable.
+        second: that of what comes next in memory, where both are read together.
+        done: whether its neighbor reads it.
+    """
+
+    def __init__(self, table: str, base: str, distance: int, name: str) -> None:
+        self._table, self._base, self._distance = table, base, distance
+        self.name, self.second, self.done = name, "", False
+
+    def __str__(self) -> str:
+        if self.done:
+            return ""
+        place = f"{self._table}, {self._base} + {self._distance}"
+        if self.second:
+            return f"Floats {self.name}, {self.second}; read({place}, {self.name}, {self.second});"
+        return f"const Floats {self.name} = read({place});"
 
 
 def _operator(symbol: str) -> Callable[..., str]:
@@ -127,6 +151,8 @@ def _convert(parameters: Any, value: Value) -> str:
         return f"{kind}({value.code})"
     integer = f"(-{value.code})" if value.dtype == "bool" else value.code
     if kind == "Ints":
+        if value.floored:
+            return f"floor_to_ints({value.floored})"
         return f"to_ints({value.code})" if value.dtype == "float32" else integer
     return value.code if value.dtype == "float32" else f"to_floats({integer})"
 
@@ -283,23 +309,27 @@ class Writer:
     """
 
     def __init__(self) -> None:
-        self.statements: dict[Level, list[str]] = {level: [] for level in Level}
+        self.statements: dict[Level, list[str | Read]] = {level: [] for level in Level}
         self.finishing = False
-        self.last_statements: list[str] = []
+        self.last_statements: list[str | Read] = []
         self.constants: list[str] = []
         self._names = 0
+        self._reads: dict[tuple[int, str, str, int], Read] = {}
 
     def _name(self) -> str:
         self._names += 1
         return f"v{self._names}"
 
+    def _statements(self, level: Level) -> list[str | Read]:
+        """Where statements of a level are written now."""
+        late = self.finishing and level == Level.PIXEL
+        return self.last_statements if late else self.statements[level]
+
     def define(self, code: str, dtype: Any, level: Level) -> Value:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
         kind = _c_type(dtype, level >= Level.PIXEL)
-        late = self.finishing and level == Level.PIXEL
-        statements = self.last_statements if late else self.statements[level]
-        statements.append(f"const {kind} {name} = {code};")
+        self._statements(level).append(f"const {kind} {name} = {code};")
         return Value(name, dtype, level)
 
     def constant(self, value: Any) -> Value:
@@ -368,7 +398,9 @@ class Writer:
         code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
         if code == inputs[0].code:
             return inputs[0]
-        return dataclasses.replace(self.define(code, dtype, level), base=_base(name, inputs))
+        floored = inputs[0].code if name == "floor" else ""
+        result = self.define(code, dtype, level)
+        return dataclasses.replace(result, base=_base(name, inputs), floored=floored)
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""
@@ -376,15 +408,27 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if table.dtype != "float32" or not index.wide:
             raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
-        return self.define(f"read({table.code}, {index.code})", table.dtype, index.level)
+        base, distance = index.base or (index.code, 0)
+        return self._define_read(table.code, base, distance, index.level)
+
+    def _define_read(self, table: str, base: str, distance: int, level: Level) -> Value:
+        """A variable for what is read at a distance from an index."""
+        statements = self._statements(level)
+        read = Read(table, base, distance, self._name())
+        # The place where its neighbor stands is earlier: there both indices are known.
+        first = self._reads.get((id(statements), table, base, distance - 1))
+        if distance % 2 and first:
+            first.second, read.done = read.name, True
+        self._reads[id(statements), table, base, distance] = read
+        statements.append(read)
+        return Value(read.name, "float32", level)
 
     def _channel(self, parameters: Any, image: Value) -> Value:
         """A channel of an image, at the pixel itself."""
         (*corner, channel), last = parameters["start_indices"], parameters["limit_indices"]
         if any(corner) or last[2] != channel + 1:
             raise Unsupported("a slice other than of one channel")
-        index = f"own * {image.channels} + {channel}"
-        return self.define(f"read({image.code}, {index})", image.dtype, Level.PIXEL)
+        return self._define_read(image.code, f"own * {image.channels}", channel, Level.PIXEL)
 
     def _position(self, parameters: Any) -> Value:
         """Number of the sample, row, or column."""

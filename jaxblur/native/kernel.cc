@@ -41,6 +41,11 @@ static inline Floats wide(float a) { return a - Floats{}; }
 static inline Ints wide(int32_t a) { return a - Ints{}; }
 static inline Ints wide(bool a) { return -int32_t(a) - Ints{}; }
 
+static inline Ints lane_numbers() {
+  Ints numbers;
+  for (int k = 0; k < LANES; ++k) numbers[k] = k;
+  return numbers;
+}
 static inline Floats to_floats(Ints a) { return __builtin_convertvector(a, Floats); }
 static inline Ints to_ints(Floats a) { return __builtin_convertvector(a, Ints); }
 
@@ -121,8 +126,22 @@ LANE_BY_LANE_OF_TWO(powf)
 static inline Floats floorf(Floats a) {
   return (Floats)_mm512_roundscale_ps((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
 }
+static inline Ints floor_to_ints(Floats a) {
+  return (Ints)_mm512_cvt_roundps_epi32((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+}
 static inline Floats read(const float* table, Ints index) {
   return (Floats)_mm512_i32gather_ps((__m512i)index, table, 4);
+}
+/* Two neighbors in memory at once: half of the loads. */
+static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
+  const double* pairs = (const double*)table;
+  const __m256i upper = _mm512_extracti64x4_epi64((__m512i)index, 1);
+  const __m512 low =
+      (__m512)_mm512_i32gather_pd(_mm512_castsi512_si256((__m512i)index), pairs, 4);
+  const __m512 high = (__m512)_mm512_i32gather_pd(upper, pairs, 4);
+  const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+  first = (Floats)_mm512_permutex2var_ps(low, even, high);
+  second = (Floats)_mm512_permutex2var_ps(low, _mm512_add_epi32(even, _mm512_set1_epi32(1)), high);
 }
 #elif defined(__AVX2__)
 static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a); }
@@ -135,6 +154,14 @@ static inline Floats read(const float* table, Ints index) {
   Floats result;
   for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
   return result;
+}
+#endif
+
+#if !defined(__AVX512F__)
+static inline Ints floor_to_ints(Floats a) { return to_ints(floorf(a)); }
+static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
+  first = read(table, index);
+  second = read(table, index + 1);
 }
 #endif
 
@@ -217,7 +244,7 @@ struct Job {
 };
 
 /* Results of the lanes that move; what is kept by the others. */
-static inline void store_results(const Job* job, int64_t pixel, Ints moving,
+static inline void store_results(const Job* job, int first, int64_t pixel, Ints moving,
                                  const Floats* results, int lanes) {
   if (KEPT == 0) {
     for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
@@ -225,6 +252,19 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
   }
   if (KEPT == RESULTS && !largest(-moving)) {
     memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
+    return;
+  }
+  if (RESULTS <= 4 && lanes == LANES && first + LANES < WIDTH) {
+    const Ints own = ((int32_t)pixel + lane_numbers()) * (int32_t)KEPT;
+    Floats columns[4] = {}, rows[4];
+    for (int k = 0; k < RESULTS; ++k)
+      columns[k] = moving ? results[k] : k < KEPT ? read(job->kept, own + k) : Floats{};
+    make_rows(columns, rows);
+    float memory[4][LANES];
+    memcpy(memory, rows, sizeof memory);
+    /* A row of four each, the end of which the next one overwrites. */
+    for (int lane = 0; lane < LANES; ++lane)
+      memcpy(job->results[0] + (pixel + lane) * RESULTS, memory[lane % 4] + lane / 4 * 4, 16);
     return;
   }
   float values[RESULTS + 1][LANES];
@@ -241,14 +281,12 @@ static void sum_row(const Job* job, float* const* tables, const int row) {
   (void)tables;
   const int64_t start = (int64_t)row * WIDTH;
   const Ints y = wide((int32_t)row);
-  Ints lane_numbers;
-  for (int k = 0; k < LANES; ++k) lane_numbers[k] = k;
 @ARGUMENTS@
   for (int first = 0; first < WIDTH; first += LANES) {
     const int lanes = WIDTH - first < LANES ? WIDTH - first : LANES;
     const int64_t pixel = start + first;
-    const Ints x = first + lane_numbers;
-    const Ints own = (int32_t)pixel + min_int(lane_numbers, wide(lanes - 1));
+    const Ints x = first + lane_numbers();
+    const Ints own = (int32_t)pixel + min_int(lane_numbers(), wide(lanes - 1));
     (void)x, (void)y, (void)own;
     Floats results[RESULTS + 1] = {};
 @MOVING@
@@ -262,7 +300,7 @@ static void sum_row(const Job* job, float* const* tables, const int row) {
       }
 @FINISH@
     }
-    store_results(job, pixel, moving, results, lanes);
+    store_results(job, first, pixel, moving, results, lanes);
   }
 }
 
