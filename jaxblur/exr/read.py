@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 from jaxblur import srgb, vectors
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
 
+from .checks import check_speed, refuse, refuse_or_zero, warn_lossy, without_depth
 from .choose import ColorGroup, choose_color, choose_depth, choose_vectors, is_depth
 from .files import (
-    Channel,
     FileInfo,
     JaxblurIOError,
     JaxblurIOWarning,
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 DEPTH_KINDS = ("z", "-z", "1/z", "normalized-near1", "flat")
 # Renderers that cannot write infinity write 1e10 or 1e30 for the sky.
 SKY_DEPTH = 1e9
-# Squares of larger displacements overflow single precision; no picture is that large.
-SPEED_LIMIT = 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,21 +157,20 @@ def read_buffers(
     _check_arguments(preset, shutter, depth, nonfinite)
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    color, unknown = _finite(info.path, group.channels, _linear_color(info, group), nonfinite)
+    color, unknown = _read_color(info, group, nonfinite)
 
     vector_info = inspect(velocity_from) if velocity_from else info
     guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
-    raw = _read_data(vector_info, guess.channels, info, group.channels[0])
-    raw, still = _finite(vector_info.path, guess.channels, raw, nonfinite)
+    raw, still = _read_vectors(vector_info, guess.channels, info, group, nonfinite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     scale = {"max_displace": max_displace, "file_shutter": file_shutter}
     velocity, curve = _half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
-        _check_speed(velocity, vector_info.path, guess)
+        check_speed(velocity, vector_info.path, guess)
 
     if "flat" in (depth, guess.preset.depth if depth == "auto" else None):
-        distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
         channel, kind = None, "flat"
+        distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
     else:
         depth_info = inspect(depth_from) if depth_from else info
         taken = guess.channels if depth_info.path == vector_info.path else ()
@@ -181,9 +178,7 @@ def read_buffers(
             depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
         )
         kind = _depth_kind(depth, guess, channel, path)
-        raw = _read_data(depth_info, [channel], info, group.channels[0])[..., 0]
-        lost = _without_depth(depth_info.path, channel, raw, nonfinite)
-        distance = to_distance(raw, kind, depth_info.path, channel)
+        distance, lost = _read_distance(depth_info, channel, kind, info, group, nonfinite)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
         valid=~unknown if unknown.any() else None,
@@ -211,7 +206,7 @@ def read_image(
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    return _finite(info.path, group.channels, _linear_color(info, group), "error")[0]
+    return _read_color(info, group, "error")[0]
 
 
 def count_not_finite(info: FileInfo, names: Sequence[str]) -> dict[str, int]:
@@ -257,13 +252,13 @@ def to_distance(
     """
     values = -raw if kind == "-z" else raw
     hit = np.isfinite(values) & (values < SKY_DEPTH) & (values != 0)
-    _refuse(hit & (values < 0), path, channel, "negative", _NEGATIVE_DEPTH[kind])
+    refuse(hit & (values < 0), path, channel, "negative", _NEGATIVE_DEPTH[kind])
     if kind == "normalized-near1":
-        _refuse(hit & (values > 1), path, channel, "above 1", "pass depth='z' if it is a distance.")
+        refuse(hit & (values > 1), path, channel, "above 1", "pass depth='z' if it is a distance.")
         distance = 2 - values
     elif kind == "1/z":
         far = (values >= SKY_DEPTH) & np.isfinite(values)
-        _refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
+        refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
         with np.errstate(over="ignore"):
             distance = 1 / np.where(hit, values, np.float32(1))
     else:
@@ -288,13 +283,30 @@ def _check_arguments(preset: str, shutter: float, depth: str, nonfinite: str) ->
     check_policy(nonfinite, "keep")
 
 
-def _linear_color(info: FileInfo, group: ColorGroup) -> np.ndarray:
-    """Read the color as linear light; integer files hold sRGB."""
+def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read the color as linear light, and where it is unknown; integer files hold sRGB."""
     color = read_channels(info.path, group.channels)
     for index, name in enumerate(group.channels):
         if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
             color[..., index] = srgb.decode(color[..., index])
-    return color
+    return refuse_or_zero(info.path, group.channels, color, nonfinite)
+
+
+def _read_vectors(
+    info: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup, nonfinite: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read vectors as they are stored, and where they are unknown."""
+    raw = _read_data(info, names, picture, group)
+    return refuse_or_zero(info.path, names, raw, nonfinite)
+
+
+def _read_distance(
+    info: FileInfo, name: str, kind: str, picture: FileInfo, group: ColorGroup, nonfinite: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read depth as positive distance, and where it is unknown."""
+    raw = _read_data(info, [name], picture, group)[..., 0]
+    lost = without_depth(info.path, name, raw, nonfinite)
+    return to_distance(raw, kind, info.path, name), lost
 
 
 def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
@@ -316,11 +328,11 @@ def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) 
 
 
 def _read_data(
-    data: FileInfo, names: Sequence[str], picture: FileInfo, color_name: str
+    data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
 ) -> np.ndarray:
     """Read vectors or depth and hold their data window against the color's."""
     values = read_channels(data.path, names)
-    window, wanted = _window(data, names[0]), _window(picture, color_name)
+    window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
     if window != wanted:
         raise JaxblurIOError(
             data.path,
@@ -328,7 +340,7 @@ def _read_data(
             "render them with the same data window.",
         )
     for name in names:
-        _warn_lossy(data, data.channel(name))
+        warn_lossy(data, data.channel(name))
     return values
 
 
@@ -361,82 +373,8 @@ def _half_spread(
     return _stopped(velocity, still), None if curve is None else _stopped(curve, still)
 
 
-def _warn_lossy(info: FileInfo, channel: Channel) -> None:
-    compression = info.parts[channel.part].compression.partition(":")[0]
-    # DWA takes channels called like color for color and stores the others exactly.
-    like_color = channel.name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "RY", "BY")
-    lossy = {
-        "pxr24": channel.type == "float",
-        "b44": channel.type == "half",
-        "b44a": channel.type == "half",
-        "dwaa": like_color,
-        "dwab": like_color,
-    }
-    if lossy.get(compression, False):
-        warnings.warn(
-            f"{info.path}: {channel.name} is stored with lossy compression ({compression}), its "
-            "values are inexact; write vectors and depth with zip.",
-            JaxblurIOWarning,
-            stacklevel=4,
-        )
-
-
-def _finite(
-    path: PathLike, names: Sequence[str], values: np.ndarray, nonfinite: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Refuse NaN and infinity channel by channel, or set those pixels to 0 and say which."""
-    somewhere = not_finite(values)
-    if nonfinite == "keep" or not somewhere.any():
-        return values, np.zeros_like(somewhere)
-    if nonfinite == "error":
-        for index, name in enumerate(names):
-            bad = not_finite(values[..., index])
-            _refuse(bad, path, name, "NaN or infinite", _IGNORE)
-    _warn_ignored(path, ", ".join(names), int(somewhere.sum()), "NaN or infinity")
-    return np.where(somewhere[..., None], np.float32(0), values), somewhere
-
-
-_IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
-
-
-def _without_depth(path: PathLike, name: str, raw: np.ndarray, nonfinite: str) -> np.ndarray:
-    """Refuse NaN in depth, or say where it counts as sky."""
-    bad = np.isnan(raw)
-    if nonfinite == "error":
-        _refuse(bad, path, name, "NaN", _IGNORE)
-    if bad.any() and nonfinite == "ignore":
-        _warn_ignored(path, name, int(bad.sum()), "NaN")
-    return bad & (nonfinite == "ignore")
-
-
-def _warn_ignored(path: PathLike, names: str, count: int, what: str) -> None:
-    warnings.warn(
-        f"{path}: {count} pixels with {what} in {names} are ignored.",
-        JaxblurIOWarning,
-        stacklevel=4,
-    )
-
-
 def _stopped(motion: np.ndarray, still: np.ndarray) -> np.ndarray:
     """Set velocities or paths to 0 where they are unknown: raw values may rest elsewhere."""
     if not still.any():
         return motion
     return np.where(still.reshape(*still.shape, *(1,) * (motion.ndim - 2)), np.float32(0), motion)
-
-
-def _check_speed(velocity: np.ndarray, path: PathLike, guess: vectors.Guess) -> None:
-    # Negated, so that NaN from an overflow is caught too.
-    fast = ~(np.abs(velocity).max(axis=-1) <= SPEED_LIMIT)
-    remedy = f"check the preset ({guess.preset.name}) and the file."
-    _refuse(fast, path, ", ".join(guess.channels), f"faster than {SPEED_LIMIT:.0e} px", remedy)
-
-
-def _refuse(bad: np.ndarray, path: PathLike, channel: str, what: str, remedy: str) -> None:
-    """Raise if any pixel is bad, naming the count and the first one."""
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise JaxblurIOError(
-            path,
-            f"{channel}: {int(bad.sum())} of {bad.size} pixels are {what} (first at row {row}, "
-            f"column {column}); {remedy}",
-        )

@@ -47,6 +47,7 @@ class Value:
         number: what it is, where that is known.
         base: (expression, whole number) whose sum it is, where that is known.
         floored: the expression that it is the floor of, where that is known.
+        reciprocal: the expression of one by it, where that is exact.
         additions: (index, value) pairs, where it is a table that taps add to.
     """
 
@@ -58,6 +59,7 @@ class Value:
     number: Any = None
     base: tuple[str, int] | None = None
     floored: str = ""
+    reciprocal: str = ""
     additions: "tuple[tuple[Value, Value], ...]" = ()
 
     @property
@@ -95,6 +97,10 @@ class Read:
 
 def _operator(symbol: str) -> Callable[..., str]:
     return lambda _, a, b: f"({a.code} {symbol} {b.code})"
+
+
+def _quotient(_, a: Value, b: Value) -> str:
+    return f"({a.code} * {b.reciprocal})" if b.reciprocal else f"({a.code} / {b.code})"
 
 
 def _function(name: str) -> Callable[..., str]:
@@ -189,7 +195,7 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "convert_element_type": _convert,
     "copy": _same,
     "cos": _function("cosf"),
-    "div": _operator("/"),
+    "div": _quotient,
     "eq": _operator("=="),
     "exp": _function("expf"),
     "expand_dims": _same,
@@ -289,6 +295,21 @@ def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
     if name == "select_n" and all(zeros[1:]) and inputs[1].dtype == "float32":
         return inputs[1]
     return inputs[0] if name == "neg" and zeros[0] else None
+
+
+def _reciprocal(inputs: Sequence[Value]) -> str:
+    """One by a choice of two powers of two.
+
+    The derivatives of maximum and minimum are divided by 2 where both are equal, else by 1.
+    """
+    which, *cases = inputs
+    if any(case.dtype != "float32" or case.number is None for case in cases):
+        return ""
+    numbers = [float(case.number) for case in cases]
+    if any(abs(np.frexp(number)[0]) != 0.5 for number in numbers):
+        return ""
+    one, other = (_widened(_literal(np.float32(1 / number)), which.level) for number in numbers)
+    return f"({which.code} ? {other.code} : {one.code})"
 
 
 def _base(name: str, inputs: Sequence[Value]) -> tuple[str, int] | None:
@@ -399,8 +420,11 @@ class Writer:
         if code == inputs[0].code:
             return inputs[0]
         floored = inputs[0].code if name == "floor" else ""
-        result = self.define(code, dtype, level)
-        return dataclasses.replace(result, base=_base(name, inputs), floored=floored)
+        reciprocal = _reciprocal(inputs) if name == "select_n" else ""
+        return dataclasses.replace(
+            self.define(code, dtype, level),
+            **{"base": _base(name, inputs), "floored": floored, "reciprocal": reciprocal},
+        )
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""

@@ -7,6 +7,7 @@ go to one and the rest to the other. The bits are the same, the list does not gr
 are no cyclic overlaps, which Newell's tests cannot order.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -83,57 +84,88 @@ def visible_bits(
     return seen, overflow, runs.length[-1]
 
 
+class _Walk(NamedTuple):
+    """Where the walk stands, in L lanes.
+
+    Attributes:
+        k: () number of intervals of each run that have been looked at.
+        done: (L,) whether nothing more can be seen.
+        taken: (W, L) bits at which something has been seen.
+        settled: (W, L) those of them that lie before all that comes.
+        since: (L,) first interval whose bits are not settled.
+        reach: (L,) farthest depth of what has been seen since.
+        own: (most, W, L) bits that each interval has.
+        lines: (most, 2, L) depths of each interval.
+    """
+
+    k: jax.Array
+    done: jax.Array
+    taken: jax.Array
+    settled: jax.Array
+    since: jax.Array
+    reach: jax.Array
+    own: jax.Array
+    lines: jax.Array
+
+
 def _walk_lanes(
     intervals: Intervals, head: Array, length: Array, most: int, bits: int
 ) -> tuple[Array, Array, Array]:
     """Resolve one run per lane: bits seen (most, W, lanes), steps made, runs cut short."""
-    lanes = head.shape[0]
-    words = bits // WORD
     limit = jnp.minimum(jnp.max(length), most)
 
-    def unfinished(state: tuple[Array, ...]) -> Array:
-        k, done = state[0], state[1]
-        return (k < limit) & jnp.any(~done)
+    def unfinished(walk: _Walk) -> Array:
+        return (walk.k < limit) & jnp.any(~walk.done)
 
-    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        k, done, taken, settled, since, reach, own, lines = state
-        place = jnp.minimum(head + k, intervals.cell.shape[0] - 1)
-        here = ~done & (k < length)
-        # Bits taken so far are out of reach if all that took them lie before what comes now.
-        clear = intervals.nearest[place] >= reach
-        settled = jnp.where(clear, taken, settled)
-        since, reach = jnp.where(clear, k, since), jnp.where(clear, -jnp.inf, reach)
-        mask = jnp.where(here, intervals.mask[:, place] & ~settled, jnp.uint32(0))
-        line = intervals.line[:, place]
+    step = functools.partial(_next_interval, intervals, head, length, bits)
+    walk = jax.lax.while_loop(unfinished, step, _start(length, most, bits // WORD))
+    return walk.own, walk.k, jnp.sum(~walk.done)
 
-        def meet(j: Array, pair: tuple[Array, Array]) -> tuple[Array, Array]:
-            mask, own = pair
-            before = nearer_bits(line - lines[j], bits)
-            return mask & ~(own[j] & ~before), own.at[j].set(own[j] & ~(mask & before))
 
-        first = jnp.min(jnp.where(jnp.any(mask & taken, axis=0), since, k))
-        reach = jnp.where(
-            jnp.any(mask != 0, axis=0), jnp.maximum(reach, intervals.farthest[place]), reach
-        )
-        taken = taken | mask
-        mask, own = jax.lax.fori_loop(first, k, meet, (mask, own))
-        own, lines = own.at[k].set(mask), lines.at[k].set(line)
-        # The mask is full, and what comes next lies behind all that has been seen.
-        following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
-        full = jnp.all(taken == jnp.uint32(FULL), axis=0) & (following >= reach)
-        done = done | full | (k + 1 >= length)
-        return k + 1, done, taken, settled, since, reach, own, lines
-
+def _start(length: Array, most: int, words: int) -> _Walk:
+    """Nothing seen yet."""
+    lanes = length.shape[0]
     none = jnp.zeros((words, lanes), jnp.uint32)
-    start = (
-        jnp.int32(0),
-        length == 0,
-        none,
-        none,
-        jnp.zeros(lanes, jnp.int32),
-        jnp.full(lanes, -jnp.inf),
-        jnp.zeros((most, words, lanes), jnp.uint32),
-        jnp.zeros((most, 2, lanes)),
+    return _Walk(
+        k=jnp.int32(0),
+        done=length == 0,
+        taken=none,
+        settled=none,
+        since=jnp.zeros(lanes, jnp.int32),
+        reach=jnp.full(lanes, -jnp.inf),
+        own=jnp.zeros((most, words, lanes), jnp.uint32),
+        lines=jnp.zeros((most, 2, lanes)),
     )
-    steps, done, _, _, _, _, own, _ = jax.lax.while_loop(unfinished, step, start)
-    return own, steps, jnp.sum(~done)
+
+
+def _next_interval(
+    intervals: Intervals, head: Array, length: Array, bits: int, walk: _Walk
+) -> _Walk:
+    """Give the next interval of each run the bits that nothing before it has."""
+    k, done, taken, settled, since, reach, own, lines = walk
+    place = jnp.minimum(head + k, intervals.cell.shape[0] - 1)
+    here = ~done & (k < length)
+    # Bits taken so far are out of reach if all that took them lie before what comes now.
+    clear = intervals.nearest[place] >= reach
+    settled = jnp.where(clear, taken, settled)
+    since, reach = jnp.where(clear, k, since), jnp.where(clear, -jnp.inf, reach)
+    mask = jnp.where(here, intervals.mask[:, place] & ~settled, jnp.uint32(0))
+    line = intervals.line[:, place]
+
+    def meet(j: Array, pair: tuple[Array, Array]) -> tuple[Array, Array]:
+        mask, own = pair
+        before = nearer_bits(line - lines[j], bits)
+        return mask & ~(own[j] & ~before), own.at[j].set(own[j] & ~(mask & before))
+
+    first = jnp.min(jnp.where(jnp.any(mask & taken, axis=0), since, k))
+    reach = jnp.where(
+        jnp.any(mask != 0, axis=0), jnp.maximum(reach, intervals.farthest[place]), reach
+    )
+    taken = taken | mask
+    mask, own = jax.lax.fori_loop(first, k, meet, (mask, own))
+    own, lines = own.at[k].set(mask), lines.at[k].set(line)
+    # The mask is full, and what comes next lies behind all that has been seen.
+    following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
+    full = jnp.all(taken == jnp.uint32(FULL), axis=0) & (following >= reach)
+    done = done | full | (k + 1 >= length)
+    return _Walk(k + 1, done, taken, settled, since, reach, own, lines)
