@@ -1,0 +1,153 @@
+"""Checks of the pixels that a frame is read from: refused, warned about, or left out.
+
+Warnings point at the caller of `read_buffers`, which calls what reads color, vectors or depth,
+which calls these.
+"""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxblur import vectors
+from jaxblur.nonfinite import not_finite
+
+from .files import Channel, FileInfo, JaxblurIOError, JaxblurIOWarning, PathLike
+
+# Squares of larger displacements overflow single precision; no picture is that large.
+SPEED_LIMIT = 1e6
+
+_IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
+
+
+def refuse(
+    bad: Bool[np.ndarray, "height width"], path: PathLike, channel: str, what: str, remedy: str
+) -> None:
+    """Refuse bad pixels, naming their number and the first one.
+
+    Args:
+        bad: (H, W) True for those.
+        path: file, for the message.
+        channel: channels, for the message.
+        what: is wrong with them.
+        remedy: what to do, with its full stop.
+
+    Raises:
+        JaxblurIOError: there is one.
+    """
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise JaxblurIOError(
+            path,
+            f"{channel}: {int(bad.sum())} of {bad.size} pixels are {what} (first at row {row}, "
+            f"column {column}); {remedy}",
+        )
+
+
+def refuse_or_zero(
+    path: PathLike,
+    names: Sequence[str],
+    values: Float[np.ndarray, "height width channels"],
+    nonfinite: str,
+) -> tuple[Float[np.ndarray, "height width channels"], Bool[np.ndarray, "height width"]]:
+    """Refuse NaN and infinity channel by channel, or set those pixels to 0 and say which.
+
+    Args:
+        path: file, for messages.
+        names: of the channels.
+        values: (H, W, C) as read.
+        nonfinite: "error", "ignore" (with a warning) or "keep".
+
+    Returns:
+        (H, W, C) the values, and (H, W) True where they were set to 0.
+
+    Raises:
+        JaxblurIOError: ``nonfinite`` is "error" and a value is NaN or infinite.
+    """
+    somewhere = not_finite(values)
+    if nonfinite == "keep" or not somewhere.any():
+        return values, np.zeros_like(somewhere)
+    if nonfinite == "error":
+        for index, name in enumerate(names):
+            refuse(not_finite(values[..., index]), path, name, "NaN or infinite", _IGNORE)
+    _warn_ignored(path, ", ".join(names), int(somewhere.sum()), "NaN or infinity")
+    return np.where(somewhere[..., None], np.float32(0), values), somewhere
+
+
+def without_depth(
+    path: PathLike, name: str, raw: Float[np.ndarray, "height width"], nonfinite: str
+) -> Bool[np.ndarray, "height width"]:
+    """Refuse NaN in depth, or say where it counts as sky.
+
+    Args:
+        path: file, for messages.
+        name: of the channel.
+        raw: (H, W) depth as read.
+        nonfinite: "error", "ignore" (with a warning) or "keep".
+
+    Returns:
+        (H, W) True where NaN is ignored.
+
+    Raises:
+        JaxblurIOError: ``nonfinite`` is "error" and a value is NaN.
+    """
+    bad = np.isnan(raw)
+    if nonfinite == "error":
+        refuse(bad, path, name, "NaN", _IGNORE)
+    if bad.any() and nonfinite == "ignore":
+        _warn_ignored(path, name, int(bad.sum()), "NaN")
+    return bad & (nonfinite == "ignore")
+
+
+def check_speed(
+    velocity: Float[np.ndarray, "height width 2"], path: PathLike, guess: vectors.Guess
+) -> None:
+    """Refuse velocities that no picture can have.
+
+    Args:
+        velocity: (H, W, 2) half-spread in pixels.
+        path: file, for messages.
+        guess: how it was read.
+
+    Raises:
+        JaxblurIOError: one exceeds `SPEED_LIMIT`, or is NaN.
+    """
+    # Negated, so that NaN from an overflow is caught too.
+    fast = ~(np.abs(velocity).max(axis=-1) <= SPEED_LIMIT)
+    remedy = f"check the preset ({guess.preset.name}) and the file."
+    refuse(fast, path, ", ".join(guess.channels), f"faster than {SPEED_LIMIT:.0e} px", remedy)
+
+
+def warn_lossy(info: FileInfo, channel: Channel) -> None:
+    """Warn of a channel of vectors or depth whose compression changes its values.
+
+    Args:
+        info: listing of the file.
+        channel: of it.
+    """
+    compression = info.parts[channel.part].compression.partition(":")[0]
+    # DWA takes channels called like color for color and stores the others exactly.
+    like_color = channel.name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "RY", "BY")
+    lossy = {
+        "pxr24": channel.type == "float",
+        "b44": channel.type == "half",
+        "b44a": channel.type == "half",
+        "dwaa": like_color,
+        "dwab": like_color,
+    }
+    if lossy.get(compression, False):
+        warnings.warn(
+            f"{info.path}: {channel.name} is stored with lossy compression ({compression}), its "
+            "values are inexact; write vectors and depth with zip.",
+            JaxblurIOWarning,
+            stacklevel=5,
+        )
+
+
+def _warn_ignored(path: PathLike, names: str, count: int, what: str) -> None:
+    warnings.warn(
+        f"{path}: {count} pixels with {what} in {names} are ignored.",
+        JaxblurIOWarning,
+        stacklevel=5,
+    )
