@@ -136,13 +136,48 @@ def _weight(distance, along_pixel, along_sample, inverse_pixel, inverse_sample, 
     )
 
 
+@numba.njit(inline="always", fastmath=True)
+def _gather_taps(color, planes, along, center, reach, shifts, row, column):
+    """Weighted color, weight and number of the taps of a pixel that lie in the image."""
+    height, width, _ = color.shape
+    samples, start, sharpness = shifts
+    step = TWO / np.float32(samples + 1)
+    across = abs(center[0] * along[0] + center[1] * along[1])
+    inverse, depth = planes[5, row, column], planes[6, row, column]
+    red = green = blue = total = counted = ZERO
+    for sample in range(samples):
+        t = reach * ((np.float32(sample) + start) * step - ONE)
+        second = sample % 2 == 1
+        direction_x = center[0] if second else along[0]
+        direction_y = center[1] if second else along[1]
+        px = column + np.int32(np.floor(t * direction_x + HALF))
+        py = row + np.int32(np.floor(t * direction_y + HALF))
+        if px < 0 or px >= width or py < 0 or py >= height:
+            continue
+        sample_depth = planes[6, py, px]
+        separation = sharpness * (sample_depth - depth) / min(sample_depth, depth)
+        weight = _weight(
+            abs(t),
+            ONE if second else across,
+            abs(planes[3, py, px] * direction_x + planes[4, py, px] * direction_y),
+            inverse,
+            planes[5, py, px],
+            min(max(separation, -ONE), ONE),
+        )
+        red += weight * color[py, px, 0]
+        green += weight * color[py, px, 1]
+        blue += weight * color[py, px, 2]
+        total += weight
+        counted += ONE
+    return red, green, blue, total, counted
+
+
 @numba.njit(parallel=True, fastmath=True, cache=True)
 def _gather(color, planes, tiles, tap, tile_noise, samples, radius, parameters):
     """Blur every pixel along its two directions; taps outside the image have no weight."""
     kappa, gamma, tau, spread, sharpness = parameters
     height, width, _ = color.shape
     blurred = np.empty_like(color)
-    step = TWO / np.float32(samples + 1)
     for row in numba.prange(height):
         for column in range(width):
             jitter = tau * tile_noise[row, column, 0], tau * tile_noise[row, column, 1]
@@ -151,38 +186,14 @@ def _gather(color, planes, tiles, tap, tile_noise, samples, radius, parameters):
             if reach <= HALF:
                 blurred[row, column] = color[row, column]
                 continue
-            along_x, along_y = tiles[r, c, 0] / reach, tiles[r, c, 1] / reach
+            along = tiles[r, c, 0] / reach, tiles[r, c, 1] / reach
             x, y, speed = planes[0, row, column], planes[1, row, column], planes[2, row, column]
-            center_x, center_y = _center_direction(x, y, speed, along_x, along_y, gamma)
-            across = abs(center_x * along_x + center_y * along_y)
-            inverse, depth = planes[5, row, column], planes[6, row, column]
-            red = green = blue = total = counted = ZERO
-            for sample in range(samples):
-                shift = np.float32(sample) + ONE + tap[row, column] * spread
-                t = reach * (shift * step - ONE)
-                second = sample % 2 == 1
-                direction_x = center_x if second else along_x
-                direction_y = center_y if second else along_y
-                px = column + np.int32(np.floor(t * direction_x + HALF))
-                py = row + np.int32(np.floor(t * direction_y + HALF))
-                if px < 0 or px >= width or py < 0 or py >= height:
-                    continue
-                sample_depth = planes[6, py, px]
-                separation = sharpness * (sample_depth - depth) / min(sample_depth, depth)
-                weight = _weight(
-                    abs(t),
-                    ONE if second else across,
-                    abs(planes[3, py, px] * direction_x + planes[4, py, px] * direction_y),
-                    inverse,
-                    planes[5, py, px],
-                    min(max(separation, -ONE), ONE),
-                )
-                red += weight * color[py, px, 0]
-                green += weight * color[py, px, 1]
-                blue += weight * color[py, px, 2]
-                total += weight
-                counted += ONE
-            own = counted * inverse / kappa
+            center = _center_direction(x, y, speed, along[0], along[1], gamma)
+            shifts = samples, ONE + tap[row, column] * spread, sharpness
+            red, green, blue, total, counted = _gather_taps(
+                color, planes, along, center, reach, shifts, row, column
+            )
+            own = counted * planes[5, row, column] / kappa
             blurred[row, column, 0] = (red + own * color[row, column, 0]) / (total + own)
             blurred[row, column, 1] = (green + own * color[row, column, 1]) / (total + own)
             blurred[row, column, 2] = (blue + own * color[row, column, 2]) / (total + own)

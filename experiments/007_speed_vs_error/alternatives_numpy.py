@@ -104,6 +104,24 @@ def weight(xp: Any, distance: Any, alignment: Any, inverse: Any, separation: Any
     )
 
 
+def clamped(xp: Any, velocity: Any, radius: int) -> tuple[Any, Any, Any]:
+    """Velocity no faster than the radius, and its speed."""
+    x, y = velocity[..., 0], velocity[..., 1]
+    speed = xp.sqrt(x * x + y * y)
+    scale = radius / xp.clip(speed, radius, None)
+    return x * scale, y * scale, speed * scale
+
+
+def texel(xp: Any, distance: Any, along: tuple[Any, Any], shape: tuple[int, int]) -> Any:
+    """Flat index of the nearest texel of a tap, and whether it lies in the image."""
+    height, width = shape
+    row, column = xp.arange(height)[:, None], xp.arange(width)[None, :]
+    px = column + xp.asarray(xp.floor(distance * along[0] + 0.5), dtype=xp.int64)
+    py = row + xp.asarray(xp.floor(distance * along[1] + 0.5), dtype=xp.int64)
+    inside = (px >= 0) & (px < width) & (py >= 0) & (py < height)
+    return xp.clip(py, 0, height - 1) * width + xp.clip(px, 0, width - 1), inside
+
+
 def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
     """The filter, whole.
 
@@ -116,11 +134,7 @@ def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
     """
     kappa, gamma, tau, spread, sharpness = inputs.scalars()
     radius, samples = inputs.radius, inputs.samples
-    height, width = inputs.depth.shape
-    x, y = inputs.velocity[..., 0], inputs.velocity[..., 1]
-    speed = xp.sqrt(x * x + y * y)
-    scale = radius / xp.clip(speed, radius, None)
-    x, y, speed = x * scale, y * scale, speed * scale
+    x, y, speed = clamped(xp, inputs.velocity, radius)
     inverse = 1 / xp.clip(speed, 0.5, None)
     depth = xp.clip(inputs.depth, 1e-9, 1e18)
     tiles = neighbor_max(xp, tile_max(xp, x, y, speed, radius))
@@ -131,17 +145,13 @@ def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
     across = xp.abs(center_x * along_x + center_y * along_y)
     planes = [p.reshape(-1) for p in (x * inverse, y * inverse, inverse, depth)]
     colors = [xp.ascontiguousarray(inputs.color[..., k]).reshape(-1) for k in range(3)]
-    row, column = xp.arange(height)[:, None], xp.arange(width)[None, :]
     total, counted = xp.zeros_like(depth), xp.zeros_like(depth)
     summed = [xp.zeros_like(depth) for _ in colors]
     for sample in range(samples):
         second = sample % 2 == 1
         along = center_x if second else along_x, center_y if second else along_y
         t = reach * (2 * (sample + 1 + inputs.tap * spread) / (samples + 1) - 1)
-        px = column + xp.asarray(xp.floor(t * along[0] + 0.5), dtype=xp.int64)
-        py = row + xp.asarray(xp.floor(t * along[1] + 0.5), dtype=xp.int64)
-        inside = (px >= 0) & (px < width) & (py >= 0) & (py < height)
-        index = xp.clip(py, 0, height - 1) * width + xp.clip(px, 0, width - 1)
+        index, inside = texel(xp, t, along, depth.shape)
         vx, vy, inverse_sample, there = (xp.take(plane, index) for plane in planes)
         own = xp.ones_like(across) if second else across
         w = weight(
