@@ -148,6 +148,27 @@ def read_tap(position, shape, border):
     return texel, inside or border == "clamp"
 
 
+def guertin_directions(own, vmax, gamma):
+    """Unit vectors of the dominant velocity and of the center direction."""
+    speed = math.hypot(*own)
+    along = vmax / math.hypot(*vmax)
+    across = np.array([-along[1], along[0]])
+    if vmax[0] * own[1] < vmax[1] * own[0]:  # across @ own < 0, exact where own is vmax
+        across = -across
+    a = min(max((speed - 0.5) / gamma, 0), 1)
+    center = (1 - a) * across + (a * own / speed if a > 0 else 0)
+    return along, center / math.hypot(*center)
+
+
+def guertin_weight(distance, along_pixel, along_sample, sample, own, closeness):
+    """Weight of a tap; closeness is that of the sample before the pixel, and the reverse."""
+    front, behind = closeness
+    weight = front * cone(distance, floored(sample)) * along_sample
+    weight += behind * cone(distance, floored(own)) * along_pixel
+    slower = min(floored(sample), floored(own))
+    return weight + 2 * cylinder(distance, slower) * max(along_pixel, along_sample)
+
+
 def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, settings, to_center):
     """One output pixel; `to_center[i]` says which taps follow the center direction."""
     reach = math.hypot(*vmax)
@@ -155,14 +176,7 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
         return color[row, column]
     n = settings["samples"]
     own = velocity[row, column]
-    speed = math.hypot(*own)
-    along = vmax / reach
-    across = np.array([-along[1], along[0]])
-    if vmax[0] * own[1] < vmax[1] * own[0]:  # across @ own < 0, exact where own is vmax
-        across = -across
-    a = min(max((speed - 0.5) / parameters["gamma"], 0), 1)
-    center = (1 - a) * across + (a * own / speed if a > 0 else 0)
-    center = center / math.hypot(*center)
+    along, center = guertin_directions(own, vmax, parameters["gamma"])
     total, weights, counted = 0.0, 0.0, 0
     for i in range(n):
         j = tap * parameters["eta"] * parameters["phi"] / n
@@ -182,10 +196,7 @@ def guertin_pixel(color, depth, velocity, vmax, row, column, tap, parameters, se
         k = parameters["depth_sharpness"]
         front = closer(depth[texel], depth[row, column], k)
         behind = closer(depth[row, column], depth[texel], k)
-        weight = front * cone(distance, floored(sample)) * w_b
-        weight += behind * cone(distance, floored(own)) * w_a
-        slower = min(floored(sample), floored(own))
-        weight += 2 * cylinder(distance, slower) * max(w_a, w_b)
+        weight = guertin_weight(distance, w_a, w_b, sample, own, (front, behind))
         if settings["fetch"] == "bilinear":
             value = bilinear(color, *position)
         else:
