@@ -111,24 +111,10 @@ def fit(
     """
     name = filter_name(filter)
     start, published = _start(name, initial), _fields(PUBLISHED[name][0])
-    settings = PUBLISHED[name][1] if settings is None else settings
-    free = tuple(DEFAULT_FREE.get(name, constraints_of(name)) if free is None else free)
-    over = _resolved(loss, settings)
-    _check_free(name, free, settings)
-    check_loss(pixel, over)
     _check_counts(steps=steps, noise_draws=noise_draws)
-    if noise not in typing.get_args(NoiseMode):
-        raise ValueError(f"`noise` must be fresh, fixed or builtin, got {noise!r}.")
-    start |= _checked_start(name, {k: start[k] for k in free}, settings)
-    objective = Objective(
-        filter_name=name,
-        free=free,
-        pixel=pixel,
-        over=over,
-        settings=settings,
-        noise=noise,
-        noise_draws=noise_draws,
-    )
+    objective = _objective(name, free, loss, pixel, settings, noise, noise_draws)
+    free = objective.free
+    start |= _checked_start(name, {k: start[k] for k in free}, objective.settings)
     training, held_out = _split(make_pairs(pairs, names), holdout)
     key = jax.random.key(0) if key is None else key
     fixed = {k: v for k, v in start.items() if k not in free}
@@ -149,7 +135,7 @@ def fit(
         free=free,
         minimized=objective.describe(),
         objective=_choices(objective, mask, key),
-        settings=dataclasses.asdict(settings),
+        settings=dataclasses.asdict(objective.settings),
         notes=dict(notes or {}),
         steps=len(final.losses),
         interrupted=interrupted,
@@ -157,6 +143,34 @@ def fit(
         data=data,
         versions=_versions(),
         **judged,
+    )
+
+
+def _objective(
+    name: str,
+    free: Sequence[str] | None,
+    loss: Literal["auto"] | Over,
+    pixel: Pixel,
+    settings: Settings | None,
+    noise: NoiseMode,
+    noise_draws: int,
+) -> Objective:
+    """What is minimized: the choices of the caller, held against each other, or the usual ones."""
+    settings = PUBLISHED[name][1] if settings is None else settings
+    free = tuple(DEFAULT_FREE.get(name, constraints_of(name)) if free is None else free)
+    over = _resolved(loss, settings)
+    _check_free(name, free, settings)
+    check_loss(pixel, over)
+    if noise not in typing.get_args(NoiseMode):
+        raise ValueError(f"`noise` must be fresh, fixed or builtin, got {noise!r}.")
+    return Objective(
+        filter_name=name,
+        free=free,
+        pixel=pixel,
+        over=over,
+        settings=settings,
+        noise=noise,
+        noise_draws=noise_draws,
     )
 
 
