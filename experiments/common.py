@@ -1,5 +1,6 @@
-"""What several experiments share: frames with their truth, brief fits, tables."""
+"""What several experiments share: options, frames with their truth, brief fits, tables."""
 
+import argparse
 import csv
 import dataclasses
 import itertools
@@ -41,6 +42,32 @@ class Example(NamedTuple):
     truth: Any
 
 
+def output_parser(description: str, reference_data: str | None = None) -> argparse.ArgumentParser:
+    """Make a parser with the options that most experiments have.
+
+    Args:
+        description: of the experiment.
+        reference_data: what it does with rendered scenes; none are taken if None.
+
+    Returns:
+        A parser with ``--output``, a folder that is made if it is not there, and perhaps
+        ``--reference-data``.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument(
+        "-o", "--output", type=_made, required=True, metavar="OUT", help="folder for the results"
+    )
+    if reference_data:
+        parser.add_argument("--reference-data", type=Path, metavar="DIR", help=reference_data)
+    return parser
+
+
+def _made(name: str) -> Path:
+    folder = Path(name)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def catalogue_example(
     name: str,
     size: tuple[int, int],
@@ -71,38 +98,36 @@ def catalogue_example(
 
 
 def cycles_examples(folder: Path, width: int, frame: int = 11) -> list[Example]:
-    """Read rendered scenes as `experiments/blender` lays them out, reduced in size.
+    """Read rendered scenes as `full_size_examples` does, but reduced in size, without paths.
 
     Color is averaged over blocks; depth and velocity are those in the middle of a block.
 
     Args:
-        folder: one sub-folder for each scene.
+        folder: as `reference_truths`.
         width: in pixels after the reduction; must divide 640.
-        frame: number.
+        frame: as `reference_truths`.
 
     Returns:
         One example for each scene.
 
     Raises:
-        SystemExit: there is no scene.
+        SystemExit: as `reference_truths`.
     """
-    return [
-        _cycles_example(truth, FULL_WIDTH // width) for truth in reference_truths(folder, frame)
-    ]
+    return [_reduced(example, FULL_WIDTH // width) for example in full_size_examples(folder, frame)]
 
 
 def full_size_examples(folder: Path, frame: int = 11) -> list[Example]:
-    """Read rendered scenes as `cycles_examples` does, but as they are, with curved paths.
+    """Read rendered scenes as `experiments/blender` lays them out, with curved paths.
 
     Args:
-        folder: one sub-folder for each scene.
-        frame: number.
+        folder: as `reference_truths`.
+        frame: as `reference_truths`.
 
     Returns:
         One example for each scene.
 
     Raises:
-        SystemExit: there is no scene.
+        SystemExit: as `reference_truths`.
     """
     return [_full_size(truth) for truth in reference_truths(folder, frame)]
 
@@ -138,8 +163,8 @@ def _full_size(truth: Path) -> Example:
     return Example(truth.parent.name, "cycles", frame, exr.read_image(truth))
 
 
-def _cycles_example(truth: Path, factor: int) -> Example:
-    name, kind, frame, image = _full_size(truth)
+def _reduced(example: Example, factor: int) -> Example:
+    name, kind, frame, image = example
     middle = slice(factor // 2, None, factor)
     reduced = jaxblur.Frame(
         _block_means(np.asarray(frame.color)[..., :3], factor),

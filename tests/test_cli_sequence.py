@@ -377,15 +377,20 @@ def test_a_full_disk(shot):
         subprocess.run(["umount", path / "out"], check=True)
 
 
-def test_killed_at_random_and_started_again_it_is_as_if_undisturbed(tmp_path):
-    pattern = kills.make_frames(tmp_path, 40, (60, 80))
-    outputs = tmp_path / "undisturbed", tmp_path / "killed"
+def undisturbed_and_again(path, count, size):
+    """Frames that are blurred, a second folder, and the command that would fill that one too."""
+    pattern = kills.make_frames(path, count, size)
+    outputs = path / "undisturbed", path / "disturbed"
     commands = []
     for output in outputs:
         output.mkdir()
         commands.append(("blur", str(pattern), "-o", str(output / "out.####.exr"), *FEW))
     assert run(*commands[0]).status == 0
-    again = [sys.executable, "-m", "jaxblur", *commands[1]]
+    return outputs, [sys.executable, "-m", "jaxblur", *commands[1]]
+
+
+def test_killed_at_random_and_started_again_it_is_as_if_undisturbed(tmp_path):
+    outputs, again = undisturbed_and_again(tmp_path, 40, (60, 80))
     seen = kills.run_with_kills(again, outputs[1], 2, seed=1)
     assert 0 < seen[-1] < 40, "it was killed while it worked"
     assert kills.differences(*outputs) == []
@@ -415,14 +420,8 @@ def dask_workers(psutil, process):
 
 def test_a_worker_that_dies_loses_nothing_and_doubles_nothing(tmp_path):
     psutil = pytest.importorskip("psutil", reason="comes with Dask")
-    pattern = kills.make_frames(tmp_path, 60, (120, 160))
-    outputs = tmp_path / "alone", tmp_path / "cluster"
-    commands = []
-    for output in outputs:
-        output.mkdir()
-        commands.append(("blur", str(pattern), "-o", str(output / "out.####.exr"), *FEW))
-    assert run(*commands[0]).status == 0
-    local = [sys.executable, "-m", "jaxblur", *commands[1], "--scheduler", "local"]
+    outputs, again = undisturbed_and_again(tmp_path, 60, (120, 160))
+    local = [*again, "--scheduler", "local"]
     with subprocess.Popen(local, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and not list(outputs[1].glob("out.*")):
             time.sleep(0.001)

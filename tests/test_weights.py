@@ -30,30 +30,20 @@ def test_level_or_nearer_is_fully_in_front():
     assert (in_front, behind) == (1, 0.75)
 
 
-@pytest.mark.parametrize("sharpness", [0.3, 1.0, 20.0])
-def test_relative_closeness_equals_plain_loops(sharpness):
+@pytest.mark.parametrize(
+    ("closeness", "twin", "scale"),
+    [
+        *((weights.relative_closeness, plain_loops.closer, k) for k in (0.3, 1.0, 20.0)),
+        *((weights.absolute_closeness, plain_loops.soft_depth, e) for e in (1e-3, 0.1, 3.0)),
+    ],
+)
+def test_closeness_equals_plain_loops(closeness, twin, scale):
     finite = weights.finite_depth(jnp.asarray(DEPTHS))
-    in_front, behind = weights.relative_closeness(
-        finite[:, None], finite[None], jnp.float32(sharpness)
-    )
+    in_front, behind = closeness(finite[:, None], finite[None], jnp.float32(scale))
     for (i, j), value in np.ndenumerate(np.asarray(in_front)):
         sample, pixel = float(DEPTHS[i]), float(DEPTHS[j])
-        assert value == pytest.approx(plain_loops.closer(sample, pixel, sharpness), abs=1e-4)
-        assert behind[i, j] == pytest.approx(plain_loops.closer(pixel, sample, sharpness), abs=1e-4)
-
-
-@pytest.mark.parametrize("extent", [1e-3, 0.1, 3.0])
-def test_absolute_closeness_equals_plain_loops(extent):
-    finite = weights.finite_depth(jnp.asarray(DEPTHS))
-    in_front, behind = weights.absolute_closeness(
-        finite[:, None], finite[None], jnp.float32(extent)
-    )
-    for (i, j), value in np.ndenumerate(np.asarray(in_front)):
-        sample, pixel = float(DEPTHS[i]), float(DEPTHS[j])
-        assert value == pytest.approx(plain_loops.soft_depth(sample, pixel, extent), abs=1e-4)
-        assert behind[i, j] == pytest.approx(
-            plain_loops.soft_depth(pixel, sample, extent), abs=1e-4
-        )
+        assert value == pytest.approx(twin(sample, pixel, scale), abs=1e-4)
+        assert behind[i, j] == pytest.approx(twin(pixel, sample, scale), abs=1e-4)
 
 
 @pytest.mark.parametrize(("apart", "expected"), [(1e-9, (-10, 0)), (-1e-9, (0, -10))])

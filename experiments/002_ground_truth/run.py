@@ -8,7 +8,6 @@ the shortest of several runs, without compilation: on a busy machine wall time s
 The random numbers of stochastic sampling have seed 0; nothing else is random.
 """
 
-import argparse
 import csv
 import time
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from experiments.common import output_parser
 from jaxblur import metrics, pictures, scenes, show
 from jaxblur.filters import FILTERS, PUBLISHED
 
@@ -300,12 +300,10 @@ def write_crops(
 
 def main() -> None:
     """Run all parts."""
-    parser = argparse.ArgumentParser(description="Compare ways to ground truth.")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the results")
+    parser = output_parser("Compare ways to ground truth.")
     parser.add_argument("--quick", action="store_true", help="small and coarse")
     options = parser.parse_args()
     plan = QUICK if options.quick else FULL
-    options.output.mkdir(parents=True, exist_ok=True)
     cubes = scenes.SCENES["random_cubes"](CUBES)
     truth = scenes.accumulate(cubes, samples=plan.truth, size=plan.size)
     rows, images = quality(plan, truth)

@@ -10,7 +10,6 @@ the longest shutter; every level has a seed of its own. Writes results.csv, resu
 figure.png.
 """
 
-import argparse
 import csv
 import itertools
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.common import output_parser
 from jaxblur import metrics, scenes, show
 
 MATERIALS = {"M1": "flat", "M2": "checker", "M3": "noise"}
@@ -260,12 +260,10 @@ def _above_zero(
 
 def main() -> None:
     """Render, score, compare."""
-    parser = argparse.ArgumentParser(description="Score shutter times and samples.")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the results")
+    parser = output_parser("Score shutter times and samples.")
     parser.add_argument("--quick", action="store_true", help="small, and part of the grid")
     options = parser.parse_args()
     plan = QUICK if options.quick else FULL
-    options.output.mkdir(parents=True, exist_ok=True)
     cells, shown = [], {}
     for material, speed in itertools.product(plan.materials, plan.speeds):
         images = render(plan, material, speed)

@@ -7,13 +7,11 @@ several numbers of samples and two shutters, and a ridge regression predicts wha
 ``planning_constants.json``, which belongs into the package; ``validate_plan`` then tries it.
 """
 
-import argparse
 import dataclasses
 import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -210,17 +208,9 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def parse_arguments() -> argparse.Namespace:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Derive the constants of jaxblur.plan.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    return parser.parse_args()
-
-
 def main() -> None:
     """Fit, measure, derive, write."""
-    options = parse_arguments()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = common.output_parser("Derive the constants of jaxblur.plan.").parse_args()
     examples = [
         common.catalogue_example(name, SIZE, shutter, TRUTH_SAMPLES)
         for shutter, name in itertools.product(SHUTTERS, DERIVED_FROM)

@@ -7,9 +7,7 @@ is lost by kind of scene without each part, and what `layered` is ahead of guert
 pixel_velocity as published. Nothing is fitted. Writes ``layered_parts.csv`` and ``.md``.
 """
 
-import argparse
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -54,11 +52,9 @@ def score(example: Example, name: str, values: dict[str, float], changes: dict[s
 
 def main() -> None:
     """Render, judge, write."""
-    parser = argparse.ArgumentParser(description="What each part of layered gains.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = common.output_parser(
+        "What each part of layered gains.", "judge on these too"
+    ).parse_args()
     names = [name for half in HALVES for name in half]
     examples = [common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES) for name in names]
     if options.reference_data:

@@ -227,9 +227,7 @@ def load(options: argparse.Namespace) -> tuple[list[list[Example]], list[Example
 
 def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="What each component of guertin2014 gains.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
+    parser = common.output_parser("What each component of guertin2014 gains.", "judge on these too")
     parser.add_argument("--steps", type=int, default=12, help="of each fit (default %(default)s)")
     parser.add_argument("--quick", action="store_true", help="four scenes, three variants")
     return parser.parse_args()
@@ -238,7 +236,6 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> None:
     """Fit, judge, time, and write tables and the figure."""
     options = parse_arguments()
-    options.output.mkdir(parents=True, exist_ok=True)
     halves, others = load(options)
     steps = 2 if options.quick else options.steps
     judged, fits, runs = [], [], {}

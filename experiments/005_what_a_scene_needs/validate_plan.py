@@ -6,9 +6,7 @@ For every scene and tolerance: what is chosen, the loss expected and measured ag
 filter over the pixels that motion reaches, and the share of time saved by the stored constants.
 """
 
-import argparse
 import itertools
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -79,18 +77,11 @@ def rows_of(example: Example) -> list[Any]:
     return rows
 
 
-def parse_arguments() -> argparse.Namespace:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(description="Try jaxblur.plan on other scenes.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="try on these too")
-    return parser.parse_args()
-
-
 def main() -> None:
     """Render, plan, measure, write."""
-    options = parse_arguments()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = common.output_parser(
+        "Try jaxblur.plan on other scenes.", "try on these too"
+    ).parse_args()
     examples = [common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES) for name in SCENES]
     if options.reference_data:
         examples += common.cycles_examples(options.reference_data, REFERENCE_WIDTH)

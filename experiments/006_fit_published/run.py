@@ -221,9 +221,7 @@ def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Exam
 
 def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(description="What fitting the published filter gains.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
+    parser = common.output_parser("What fitting the published filter gains.", "judge on these too")
     parser.add_argument("--quick", action="store_true", help="two scenes, two steps, tables only")
     return parser.parse_args()
 
@@ -301,7 +299,6 @@ def main() -> None:
     """Fit every fold, judge, and write tables and pictures."""
     options = parse_arguments()
     output = options.output
-    output.mkdir(parents=True, exist_ok=True)
     names = SCENES[2:4] if options.quick else SCENES
     samples = 16 if options.quick else TRUTH_SAMPLES
     examples = [common.catalogue_example(name, SIZE, SHUTTER, samples) for name in names]

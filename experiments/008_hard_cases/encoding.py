@@ -7,7 +7,6 @@ with `jaxblur.encode_velocity`, and with x and y encoded apart as McGuire et al.
 are chosen so that none or many of the vectors are longer. Writes encoding.csv and encoding.md.
 """
 
-import argparse
 import dataclasses
 import functools
 import sys
@@ -21,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxblur
-from experiments.common import write_table
+from experiments.common import output_parser, write_table
 from jaxblur import exr, metrics
 from jaxblur.filters import PUBLISHED
 
@@ -101,10 +100,7 @@ def _of_radius(scene, name, radius, frame, truth):
 
 def main() -> None:
     """Blur, compare, write the table."""
-    parser = argparse.ArgumentParser(description="Velocities in 8 bits.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = output_parser("Velocities in 8 bits.").parse_args()
     write_table(options.output, "encoding", COLUMNS, rows())
 
 

@@ -9,7 +9,6 @@ refuses is checked and printed. Seeds are fixed. ``--quick`` leaves out sizes, m
 transformations. Rows are written as they are measured; ``--resume`` takes those of OUT as they are.
 """
 
-import argparse
 import contextlib
 import csv
 import functools
@@ -30,7 +29,7 @@ import jax
 import numpy as np
 
 import jaxblur
-from experiments.common import write_table
+from experiments.common import output_parser, write_table
 from jaxblur.filters import FILTERS
 
 cases = importlib.import_module("experiments.008_hard_cases.cases")
@@ -214,13 +213,11 @@ def write(output: Path, planned: Sequence[Task]) -> None:
 
 def main() -> None:
     """Measure, write the tables, say what failed."""
-    parser = argparse.ArgumentParser(description="Hard cases of every filter.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    parser = output_parser("Hard cases of every filter.")
     parser.add_argument("--quick", action="store_true", help="fewer cases and transformations")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
-    parser.add_argument("--resume", action="store_true", help="keep the rows that DIR has")
+    parser.add_argument("--resume", action="store_true", help="keep the rows that OUT has")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
     for table in KEYS:
         if not (options.resume and path(options.output, table).exists()):
             write_table(options.output, table, HEADERS[table], [])

@@ -8,9 +8,7 @@ and a part of the rendered flagpole, if DIR holds it. ``edges.png``, and ``edges
 PSNR in dB of the parts. Nothing is random.
 """
 
-import argparse
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -92,11 +90,9 @@ def opaque_part(example: common.Example) -> common.Example:
 
 def main() -> None:
     """Render, blur, draw."""
-    parser = argparse.ArgumentParser(description="Draw thin features and transparent edges.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="show its flagpole too")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = common.output_parser(
+        "Draw thin features and transparent edges.", "show its flagpole too"
+    ).parse_args()
     opaque = common.catalogue_example("flagpole", SIZE, SHUTTER, TRUTH_SAMPLES)
     chosen = [(opaque, PART), (cut_out(), PART)]
     if options.reference_data:

@@ -9,7 +9,6 @@ display values with zero, estimated and exact velocities of the sky, and the mea
 estimate in pixels. Nothing is random.
 """
 
-import argparse
 import dataclasses
 import json
 from pathlib import Path
@@ -83,11 +82,9 @@ def row_of(example: common.Example, exact: np.ndarray) -> list[Any]:
 
 def main() -> None:
     """Estimate, blur, judge, write."""
-    parser = argparse.ArgumentParser(description="Velocities of the sky from the camera's turn.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = common.output_parser(
+        "Velocities of the sky from the camera's turn.", "judge on these too"
+    ).parse_args()
     rows = []
     for name in SCENES:
         example = common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES)
