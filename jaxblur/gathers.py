@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from .native import Stages, native_gather
@@ -54,6 +55,45 @@ def gather_samples(
     leaves, structure = jax.tree.flatten((local, tables))
     plan = Plan(stages.sample, stages.limit, count, backend, structure)
     return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])
+
+
+def cond_of_values(
+    predicate: jax.Array, usual: Callable[..., Any], other: Callable[..., Any], operands: Any
+) -> Any:
+    """`lax.cond` for values; derivatives are those of `usual`, whatever the predicate.
+
+    For a shortcut whose result and derivatives `usual` gives too. A conditional in a derivative
+    copies every image that reverse mode keeps.
+
+    Args:
+        predicate: bool, whether `usual` is computed.
+        usual: function of the operands.
+        other: the shortcut, a function of the operands.
+        operands: tuple of pytrees of arrays; the functions use nothing else that is traced.
+
+    Returns:
+        The result of one of both.
+    """
+    leaves, structure = jax.tree.flatten(operands)
+    functions = [
+        lambda leaves, f=f: f(*jax.tree.unflatten(structure, leaves)) for f in (usual, other)
+    ]
+
+    @jax.custom_jvp
+    def choose(predicate, leaves):
+        return lax.cond(predicate, *functions, leaves)
+
+    def of_usual(primals, tangents):
+        (_, leaves), (_, tangents) = primals, tangents
+        active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+
+        def of_active(values):
+            return functions[0](replaced(leaves, active, values))
+
+        return jax.jvp(of_active, ([leaves[k] for k in active],), ([tangents[k] for k in active],))
+
+    choose.defjvp(of_usual, symbolic_zeros=True)
+    return choose(predicate, leaves)
 
 
 def everywhere(prepare: Callable[..., Any]) -> Stages:
@@ -124,14 +164,22 @@ def _by_stages(
     plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Which pixels move (H, W, 1), and their results: one stage after the other."""
+
+    # Reverse mode computes these stages once more. Keeping their intermediate planes costs more:
+    # dozens of images, and a conditional around them copies every one.
+    @jax.checkpoint
+    def prepare(local, tables):
+        moving, found = stages.moving(local, tables)
+        return moving, stages.prepare(local, tables, found)
+
     local, tables = plan.operands(leaves)
-    moving, found = stages.moving(local, tables)
-    prepared = stages.prepare(local, tables, found)
+    moving, prepared = prepare(local, tables)
     sums = sum_samples(
         *(stages.sample, plan.count, moving[..., 0], prepared, tables),
         *(plan.backend, stages.limit),
     )
-    results = stages.finish(tuple(total[..., None] for total in sums), prepared, local)
+    planes = tuple(total[..., None] for total in sums)
+    results = jax.checkpoint(stages.finish)(planes, prepared, local)
     return moving, jnp.concatenate(results, axis=-1)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import gather_samples
+from ..gathers import cond_of_values, gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize
@@ -260,6 +260,26 @@ def _prepare(frame, parameters, settings):
     return frame, parameters, speed, tiles
 
 
+def _blur_all(settings, frame, speed, tiles, noise, parameters, _anything):
+    """The image for each choice of tile, (K, H, W, C)."""
+    local, tables = _buffers(frame, speed, tiles, noise, parameters, settings)
+    if settings.tile_choice != "expected":
+        return _reconstruct(frame, local, tables, settings)[None]
+    indices, _ = reachable_tiles(frame.depth.shape, settings.radius, parameters.tau)
+    return lax.map(
+        lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
+        indices,
+    )
+
+
+def _keep(count, frame, *others):
+    """The same where nothing moves."""
+    anything = others[-1]
+    # By a product with one: XLA copies a result that is an operand three times over.
+    color = frame.color * jnp.where(anything, 0, 1).astype(frame.color.dtype)
+    return jnp.broadcast_to(color, (count, *color.shape))
+
+
 @functools.partial(jax.jit, static_argnames=("settings",))
 def guertin2014(
     frame: Frame,
@@ -333,30 +353,17 @@ def tile_outcomes(
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
     frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
-    size, tau = frame.depth.shape, jnp.asarray(parameters.tau)
     anything = jnp.any(safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR)
 
-    def blur_all():
-        buffers = _buffers(frame, speed, tiles, noise, parameters, settings)
-        if settings.tile_choice != "expected":
-            return _reconstruct(frame, *buffers, settings)[None]
-        indices, _ = reachable_tiles(size, settings.radius, tau)
-        local, tables = buffers
-        return lax.map(
-            lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
-            indices,
-        )
-
-    def keep():
-        # By a product with one: XLA copies a result that is an operand three times over.
-        color = frame.color * jnp.where(anything, 0, 1).astype(frame.color.dtype)
-        return jnp.broadcast_to(color, (len(chances), *color.shape))
-
     if settings.tile_choice == "expected":
-        _, chances = reachable_tiles(size, settings.radius, tau)
+        tau = jnp.asarray(parameters.tau)
+        _, chances = reachable_tiles(frame.depth.shape, settings.radius, tau)
     else:
-        chances = jnp.ones((1, *size), frame.color.dtype)
-    colors = lax.cond(anything, blur_all, keep)
+        chances = jnp.ones((1, *frame.depth.shape), frame.color.dtype)
+    colors = cond_of_values(
+        *(anything, functools.partial(_blur_all, settings), functools.partial(_keep, len(chances))),
+        (frame, speed, tiles, noise, parameters, anything),
+    )
     return (divide_by_mask(colors) if masked else colors), chances
 
 

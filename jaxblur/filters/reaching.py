@@ -87,13 +87,14 @@ def reaching_pixels(
     winner = tile_argmax(speed, size)
     pixel = winner.reshape(-1)
     farthest = jnp.log(_tile_highest(depth, size))
-    lines = _Lines(pixel, motion, speed, winner.shape, radius)
+    rows, columns = winner.shape
+    lines = _Lines(pixel, motion, speed, (rows, columns), radius)
     in_front = functools.partial(lines.in_front, farthest)
     first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
     unlikeness = lines.unlikeness_to(first)
     second = lines.highest(lambda tile: unlikeness(tile, jnp.where(in_front(tile), 1, 1 / BEHIND)))
     chosen = jnp.stack([first, second])
-    return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, *winner.shape)
+    return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, rows, columns)
 
 
 def _tile_highest(plane: jax.Array, size: int) -> Float[Array, " tiles"]:

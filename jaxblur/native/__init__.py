@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from .build import BuildFailed, find_compiler, keep_kernels, register
 from .emit import Kernel, Stages, emit_gather, emit_pull
-from .expressions import Unsupported
+from .operations import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .expressions import Level, Read, Unsupported, Value, Writer
+from .expressions import Read, Writer
+from .operations import Level, Unsupported, Value
 
 TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
 _SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
@@ -73,6 +74,7 @@ class _Program:
         self._moving: list[str | Read] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
         self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept}
+        self._rows_of_three: list[int] = []
 
     def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
         """Write a function of arrays of these shapes.
@@ -110,6 +112,16 @@ class _Program:
             tap.extend([] if known else [f"sums[{k}] += {term.code};"])
         return sums
 
+    def add(self, tables: Sequence[Value]) -> None:
+        """Write what a tap adds to tables."""
+        for k, table in enumerate(tables):
+            rows = _rows(table)
+            three = all(factor == 3 and max(row) < 3 for (_, factor), row in rows.items())
+            self._rows_of_three.append(int(three and bool(rows)))
+            for (base, _), row in rows.items():
+                lines = _add_row(k, base, row, whole=three)
+                self.writer.statements[Level.TAP].extend(lines)
+
     def kernel(self, results: Sequence[Value], tables: Sequence[int] = ()) -> str:
         """The program, with planes as results and tables of these sizes that taps add to."""
         for k, result in enumerate(results):
@@ -128,6 +140,7 @@ class _Program:
             "FINISH": self.writer.last_statements,
         }
         sizes = {"TABLES": len(tables), "TABLE_SIZES": ", ".join(map(str, [*tables, 0]))}
+        sizes["ROWS_OF_THREE"] = ", ".join(map(str, [*self._rows_of_three, 0]))
         numbers = self._numbers | sizes | {"RESULTS": len(results)}
         texts = {name: "\n".join(map(str, lines)) for name, lines in parts.items()}
         source = TEMPLATE.read_text(encoding="utf-8")
@@ -249,7 +262,7 @@ def emit_pull(
         for value, shape in zip(results, result_shapes, strict=True)
         if shape.ndim == 1
     ]
-    program.writer.statements[Level.TAP].extend(_additions([table for table, _ in tables]))
+    program.add([table for table, _ in tables])
     source = program.kernel(program.sums(planes), [length for _, length in tables])
     flat = tuple(shape.shape if shape.ndim == 1 else size for shape in result_shapes)
     return Kernel(source, flat)
@@ -273,27 +286,24 @@ def _pull_one(
     return pull
 
 
-def _additions(tables: Sequence[Value]) -> list[str]:
-    """What a tap adds to tables; neighbors in memory are added to together."""
-    lines = []
-    for k, table in enumerate(tables):
-        if not table.additions and (table.number is None or np.any(table.number != 0)):
-            raise Unsupported("a table as a result that is not added to")
-        rows: dict[str, dict[int, str]] = {}
-        for index, value in table.additions:
-            base, distance = index.base or (index.code, 0)
-            row = rows.setdefault(base, {})
-            row[distance] = f"{row[distance]} + {value.code}" if distance in row else value.code
-        for base, row in rows.items():
-            lines += _add_row(k, base, row)
-    return lines
+def _rows(table: Value) -> dict[tuple[str, int], dict[int, str]]:
+    """What a tap adds to a table: by index and the factor of that, the sums at each distance."""
+    if not table.additions and (table.number is None or np.any(table.number != 0)):
+        raise Unsupported("a table as a result that is not added to")
+    rows: dict[tuple[str, int], dict[int, str]] = {}
+    for index, value in table.additions:
+        base, distance, factor = index.base or (index.code, 0, 1)
+        row = rows.setdefault((base, factor), {})
+        row[distance] = f"{row[distance]} + {value.code}" if distance in row else value.code
+    return rows
 
 
-def _add_row(table: int, base: str, row: dict[int, str]) -> list[str]:
-    """Additions at known distances from one index, four at a time."""
+def _add_row(table: int, base: str, row: dict[int, str], whole: bool) -> list[str]:
+    """Additions at known distances from one index, four at a time, or a whole row of three."""
     lines = []
-    for first in range(0, max(row) + 1, 4):
-        distances = range(first, min(first + 4, max(row) + 1))
+    width, name = (3, "add_three") if whole else (4, "add")
+    for first in range(0, max(row) + 1, width):
+        distances = range(first, first + 3 if whole else min(first + 4, max(row) + 1))
         values = ", ".join(row.get(distance, "Floats{}") for distance in distances)
-        lines.append(f"add(tables[{table}], {base} + {first}, {{{values}}}, lanes);")
+        lines.append(f"{name}(tables[{table}], {base} + {first}, {{{values}}}, lanes);")
     return lines

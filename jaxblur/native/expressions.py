@@ -1,76 +1,24 @@
 """The C++ form of a jaxpr of elementwise operations, reads of tables and additions to tables."""
 
 import dataclasses
-import enum
 import functools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import numpy as np
 from jax.extend import core
 
-_SCALARS = {"float32": "float", "int32": "int32_t", "bool": "bool"}
-_VECTORS = {"float32": "Floats", "int32": "Ints", "bool": "Ints"}
+from .operations import OPERATIONS, Level, Unsupported, Value, c_type, literal, widened
+
 _BUFFERS = {"float32": "float", "int32": "int32_t", "bool": "uint8_t"}
 _LOADS = {
     "float32": "load_floats({}, lanes)",
     "int32": "load<Ints>({}, lanes)",
     "bool": "(load<Ints>({}, lanes) != 0)",
 }
-
-
-class Unsupported(Exception):
-    """The sample uses something that has no form in C++ here."""
-
-
-class Level(enum.IntEnum):
-    """What a value depends on: nothing, the sample's number, the pixel, or both."""
-
-    UNIFORM = 0
-    SAMPLE = 1
-    PIXEL = 2
-    TAP = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Value:
-    """An expression in C++.
-
-    Attributes:
-        code: the expression, or the name of a variable.
-        dtype: name of the array type.
-        level: where it is computed.
-        table: whether it is an array that samples read at other pixels.
-        channels: of an image that a pixel reads at its own place only; 0 for any other value.
-        number: what it is, where that is known.
-        base: (expression, whole number) whose sum it is, where that is known.
-        floored: the expression that it is the floor of, where that is known.
-        reciprocal: the expression of one by it, where that is exact.
-        additions: (index, value) pairs, where it is a table that taps add to.
-    """
-
-    code: str
-    dtype: str
-    level: Level = Level.UNIFORM
-    table: bool = False
-    channels: int = 0
-    number: Any = None
-    base: tuple[str, int] | None = None
-    floored: str = ""
-    reciprocal: str = ""
-    additions: "tuple[tuple[Value, Value], ...]" = ()
-
-    @property
-    def ordered(self) -> bool:
-        """Whether it is known not to be NaN."""
-        return self.number is not None and not np.isnan(self.number)
-
-    @property
-    def wide(self) -> bool:
-        """Whether there is one value a lane."""
-        return self.level >= Level.PIXEL
+_INNER = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2")
 
 
 class Read:
@@ -95,167 +43,6 @@ class Read:
         return f"const Floats {self.name} = read({place});"
 
 
-def _operator(symbol: str) -> Callable[..., str]:
-    return lambda _, a, b: f"({a.code} {symbol} {b.code})"
-
-
-def _quotient(_, a: Value, b: Value) -> str:
-    return f"({a.code} * {b.reciprocal})" if b.reciprocal else f"({a.code} / {b.code})"
-
-
-def _function(name: str) -> Callable[..., str]:
-    return lambda _, *values: f"{name}({', '.join(value.code for value in values)})"
-
-
-def _extreme(name: str, symbol: str) -> Callable[..., str]:
-    """Maximum or minimum; with a literal first one comparison keeps a NaN."""
-
-    def write(_, a: Value, b: Value) -> str:
-        if a.dtype != "float32":
-            return f"{name}_int({a.code}, {b.code})"
-        if a.ordered:
-            return f"({a.code} {symbol} {b.code} ? {a.code} : {b.code})"
-        if b.ordered:
-            return f"({b.code} {symbol} {a.code} ? {b.code} : {a.code})"
-        return f"{name}_float({a.code}, {b.code})"
-
-    return write
-
-
-def _clamp(parameters: Any, low: Value, value: Value, high: Value) -> str:
-    raised = dataclasses.replace(value, code=_extreme("max", ">")(parameters, low, value))
-    return _extreme("min", "<")(parameters, raised, high)
-
-
-def _widened(value: Value, level: Level) -> Value:
-    """The value with one copy a lane, if the result has one a lane."""
-    if value.wide or value.table or level < Level.PIXEL:
-        return value
-    return dataclasses.replace(value, code=f"wide({value.code})")
-
-
-def _select(_, which: Value, *cases: Value) -> str:
-    if which.dtype != "bool" or len(cases) != 2:
-        raise Unsupported("select_n of an integer")
-    return f"({which.code} ? {cases[1].code} : {cases[0].code})"
-
-
-def _power(parameters: Any, value: Value) -> str:
-    exponent = parameters["y"]
-    if not 1 <= abs(exponent) <= 8:
-        raise Unsupported(f"integer_pow with exponent {exponent}")
-    product = "(" + " * ".join([value.code] * abs(exponent)) + ")"
-    return product if exponent > 0 else f"(1.0f / {product})"
-
-
-def _convert(parameters: Any, value: Value) -> str:
-    dtype = np.dtype(parameters["new_dtype"]).name
-    if dtype == "bool":
-        return f"({value.code} != 0)"
-    kind = _c_type(dtype, value.wide)
-    if not value.wide:
-        return f"{kind}({value.code})"
-    integer = f"(-{value.code})" if value.dtype == "bool" else value.code
-    if kind == "Ints":
-        if value.floored:
-            return f"floor_to_ints({value.floored})"
-        return f"to_ints({value.code})" if value.dtype == "float32" else integer
-    return value.code if value.dtype == "float32" else f"to_floats({integer})"
-
-
-def _remainder(_, a: Value, b: Value) -> str:
-    return f"fmodf({a.code}, {b.code})" if a.dtype == "float32" else f"({a.code} % {b.code})"
-
-
-def _absolute(_, a: Value) -> str:
-    return f"fabsf({a.code})" if a.dtype == "float32" else f"max_int({a.code}, -{a.code})"
-
-
-def _negation(_, a: Value) -> str:
-    return f"(!{a.code})" if a.dtype == "bool" and not a.wide else f"(~{a.code})"
-
-
-def _round(parameters: Any, a: Value) -> str:
-    to_even = parameters["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
-    return f"{'rintf' if to_even else 'roundf'}({a.code})"
-
-
-def _same(_, value: Value, *_more: Value) -> str:
-    return value.code
-
-
-OPERATIONS: dict[str, Callable[..., str]] = {
-    "abs": _absolute,
-    "add": _operator("+"),
-    "add_any": _operator("+"),
-    "and": _operator("&"),
-    "broadcast_in_dim": _same,
-    "ceil": _function("ceilf"),
-    "clamp": _clamp,
-    "convert_element_type": _convert,
-    "copy": _same,
-    "cos": _function("cosf"),
-    "div": _quotient,
-    "eq": _operator("=="),
-    "exp": _function("expf"),
-    "expand_dims": _same,
-    "floor": _function("floorf"),
-    "ge": _operator(">="),
-    "gt": _operator(">"),
-    "integer_pow": _power,
-    "le": _operator("<="),
-    "log": _function("logf"),
-    "log1p": _function("log1pf"),
-    "lt": _operator("<"),
-    "max": _extreme("max", ">"),
-    "min": _extreme("min", "<"),
-    "mul": _operator("*"),
-    "ne": _operator("!="),
-    "neg": lambda _, a: f"(-{a.code})",
-    "not": _negation,
-    "or": _operator("|"),
-    "pow": _function("powf"),
-    "rem": _remainder,
-    "reshape": _same,
-    "round": _round,
-    "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
-    "select_n": _select,
-    "sign": _function("sign_float"),
-    "sin": _function("sinf"),
-    "sqrt": _function("sqrtf"),
-    "square": lambda _, a: f"({a.code} * {a.code})",
-    "squeeze": _same,
-    "stop_gradient": _same,
-    "sub": _operator("-"),
-    "tanh": _function("tanhf"),
-}
-_INNER = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2")
-
-
-def _c_type(dtype: Any, wide: bool) -> str:
-    kinds = _VECTORS if wide else _SCALARS
-    try:
-        return kinds[np.dtype(dtype).name]
-    except KeyError:
-        raise Unsupported(f"values of type {np.dtype(dtype).name}") from None
-
-
-def _literal(number: Any) -> Value:
-    """A constant, its float digits kept exactly."""
-    array = np.asarray(number)
-    dtype = array.dtype.name
-    if dtype == "bool":
-        return Value("true" if array else "false", dtype, number=array)
-    if np.issubdtype(array.dtype, np.integer):
-        return Value(f"int32_t({int(array)})", "int32", number=array)
-    if dtype != "float32":
-        raise Unsupported(f"constants of type {dtype}")
-    code = float(array).hex() if np.isfinite(array) else "NAN"
-    if np.isinf(array):
-        code = "INFINITY" if array > 0 else "-INFINITY"
-    return Value(f"float({code})", dtype, number=array)
-
-
 def _is_flat(equation: Any) -> bool:
     """Whether a read or an addition is that of one element of a flat table, known to be inside."""
     promised = equation.params["mode"] == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
@@ -266,7 +53,7 @@ def _addition(equation: Any, table: Value, index: Value, value: Value) -> Value:
     """What a tap adds to a table of zeros."""
     if not _is_flat(equation) or table.number is None or table.number != 0 or not index.wide:
         raise Unsupported("a scatter other than into a flat table of zeros at promised indices")
-    return Value("", value.dtype, additions=((index, _widened(value, Level.TAP)),))
+    return Value("", value.dtype, additions=((index, widened(value, Level.TAP)),))
 
 
 def _merged(first: Value, second: Value) -> Value:
@@ -308,15 +95,19 @@ def _reciprocal(inputs: Sequence[Value]) -> str:
     numbers = [float(case.number) for case in cases]
     if any(abs(np.frexp(number)[0]) != 0.5 for number in numbers):
         return ""
-    one, other = (_widened(_literal(np.float32(1 / number)), which.level) for number in numbers)
+    one, other = (widened(literal(np.float32(1 / number)), which.level) for number in numbers)
     return f"({which.code} ? {other.code} : {one.code})"
 
 
-def _base(name: str, inputs: Sequence[Value]) -> tuple[str, int] | None:
-    """What an index is a known distance from."""
-    if name != "add" or inputs[1].dtype != "int32" or inputs[1].number is None:
+def _base(name: str, code: str, inputs: Sequence[Value]) -> tuple[str, int, int] | None:
+    """What an index, with this variable, is a known distance from."""
+    if name not in ("add", "mul") or inputs[1].dtype != "int32" or inputs[1].number is None:
         return None
-    return inputs[0].code, int(inputs[1].number)
+    number = int(inputs[1].number)
+    if name == "mul":
+        return code, 0, number
+    factor = inputs[0].base[2] if inputs[0].base else 1
+    return inputs[0].code, number, factor
 
 
 class Writer:
@@ -349,7 +140,7 @@ class Writer:
     def define(self, code: str, dtype: Any, level: Level) -> Value:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
-        kind = _c_type(dtype, level >= Level.PIXEL)
+        kind = c_type(dtype, level >= Level.PIXEL)
         self._statements(level).append(f"const {kind} {name} = {code};")
         return Value(name, dtype, level)
 
@@ -357,11 +148,11 @@ class Writer:
         """A closed-over array: a number, or one number a sample."""
         array = np.asarray(value)
         if array.size == 1:
-            return _literal(array.reshape(()))
+            return literal(array.reshape(()))
         if array.ndim == 0 or array.shape[-1] != array.size:
             raise Unsupported(f"a constant of shape {array.shape}")
-        name, kind = self._name(), _c_type(array.dtype, wide=False)
-        numbers = ", ".join(_literal(number).code for number in array.reshape(-1))
+        name, kind = self._name(), c_type(array.dtype, wide=False)
+        numbers = ", ".join(literal(number).code for number in array.reshape(-1))
         self.constants.append(f"static const {kind} {name}[] = {{{numbers}}};")
         return Value(f"{name}[i]", array.dtype.name, Level.SAMPLE)
 
@@ -377,7 +168,7 @@ class Writer:
 
         def read(atom: Any) -> Value:
             if isinstance(atom, core.Literal):
-                return _literal(np.asarray(atom.val, getattr(atom.aval, "dtype", None)))
+                return literal(np.asarray(atom.val, getattr(atom.aval, "dtype", None)))
             return values[atom]
 
         for equation in jaxpr.eqns:
@@ -404,7 +195,7 @@ class Writer:
             return [self._channel(parameters, inputs[0])]
         dtype = equation.outvars[0].aval.dtype
         if name == "convert_element_type" and inputs[0].number is not None:
-            return [_literal(inputs[0].number.astype(dtype))]
+            return [literal(inputs[0].number.astype(dtype))]
         return [self._operation(name, parameters, inputs, dtype)]
 
     def _operation(self, name: str, parameters: Any, inputs: list[Value], dtype: Any) -> Value:
@@ -416,15 +207,14 @@ class Writer:
         if (known := _without_zeros(name, inputs)) is not None:
             return known
         level = Level(functools.reduce(operator.or_, (value.level for value in inputs), 0))
-        code = OPERATIONS[name](parameters, *(_widened(value, level) for value in inputs))
+        code = OPERATIONS[name](parameters, *(widened(value, level) for value in inputs))
         if code == inputs[0].code:
             return inputs[0]
         floored = inputs[0].code if name == "floor" else ""
         reciprocal = _reciprocal(inputs) if name == "select_n" else ""
-        return dataclasses.replace(
-            self.define(code, dtype, level),
-            **{"base": _base(name, inputs), "floored": floored, "reciprocal": reciprocal},
-        )
+        result = self.define(code, dtype, level)
+        base = _base(name, result.code, inputs)
+        return dataclasses.replace(result, base=base, floored=floored, reciprocal=reciprocal)
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""
@@ -432,7 +222,7 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if table.dtype != "float32" or not index.wide:
             raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
-        base, distance = index.base or (index.code, 0)
+        base, distance, _ = index.base or (index.code, 0, 1)
         return self._define_read(table.code, base, distance, index.level)
 
     def _define_read(self, table: str, base: str, distance: int, level: Level) -> Value:

@@ -232,7 +232,15 @@ static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS]
   }
 }
 
+/* Adds a row of three a lane, to a table in which it has the room of four. The index, that of the
+   row without that room, is a multiple of 3, which the inverse of 3 modulo 2^32 divides exactly. */
+static inline void add_three(float* table, Ints index, const Floats (&values)[3], int lanes) {
+  const Floats row[4] = {values[0], values[1], values[2], Floats{}};
+  add(table, index * (int32_t)0xAAAAAAABu * 4, row, lanes);
+}
+
 static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
+static const bool ROWS_OF_THREE[] = {@ROWS_OF_THREE@}; /* with the room of four while added to */
 @CONSTANTS@
 struct Job {
   const float* kept;
@@ -338,14 +346,16 @@ static int count_threads(void) {
   return least < most ? least : most;
 }
 
-/* Tables of every thread but the first, which has the result's own. Calloc hands out pages that
-   cost nothing until a tap touches them. */
+/* Tables of every thread; the first has the result's own, but for rows of three. Calloc hands out
+   pages that cost nothing until a tap touches them. */
 static bool make_tables(Job* job, Share* shares) {
   bool enough = true;
   for (int t = 0; t < job->threads; ++t) {
     shares[t] = {job, t, {}};
     for (int k = 0; k < TABLES; ++k) {
-      shares[t].tables[k] = t ? (float*)calloc(TABLE_SIZES[k], sizeof(float)) : job->tables[k];
+      const int64_t size = ROWS_OF_THREE[k] ? TABLE_SIZES[k] / 3 * 4 : TABLE_SIZES[k];
+      const bool own = t || ROWS_OF_THREE[k];
+      shares[t].tables[k] = own ? (float*)calloc(size, sizeof(float)) : job->tables[k];
       enough = enough && shares[t].tables[k];
     }
   }
@@ -354,11 +364,18 @@ static bool make_tables(Job* job, Share* shares) {
 }
 
 static void join_tables(Job* job, Share* shares, bool enough) {
-  for (int t = 1; t < job->threads; ++t) {
+  for (int t = 0; t < job->threads; ++t) {
     for (int k = 0; k < TABLES; ++k) {
-      const float* part = shares[t].tables[k];
-      for (int64_t p = 0; enough && p < TABLE_SIZES[k]; ++p) job->tables[k][p] += part[p];
-      free(shares[t].tables[k]);
+      const int64_t size = enough ? TABLE_SIZES[k] : 0;
+      float *table = job->tables[k], *part = shares[t].tables[k];
+      if (part == table) continue;
+      if (ROWS_OF_THREE[k]) {
+        for (int64_t p = 0; p < size / 3; ++p)
+          for (int c = 0; c < 3; ++c) table[3 * p + c] += part[4 * p + c];
+      } else {
+        for (int64_t p = 0; p < size; ++p) table[p] += part[p];
+      }
+      free(part);
     }
   }
 }
