@@ -11,7 +11,7 @@ from ..frame import Frame, check_frame, check_parameters
 from ..gathers import cond_of_values, gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
-from ..safe_math import safe_norm, safe_normalize
+from ..safe_math import safe_norm
 from ..sampling import (
     channel,
     path_samples,
@@ -40,6 +40,7 @@ from ..weights import (
     relative_closeness,
 )
 from .masking import append_mask, divide_by_mask
+from .two_directions import follows_center, tile_choices, two_directions
 
 PERPENDICULAR = 1e-6
 """Cosine of an angle that counts as a right one."""
@@ -71,18 +72,6 @@ class GuertinParameters:
     eta: float | jax.Array = 0.95
     phi: float | jax.Array = 27.0
     depth_sharpness: float | jax.Array = 1.0
-
-
-def _to_second_direction(index, settings, local):
-    """Whether tap i goes to the second direction: every odd one, or `share` of N, interleaved."""
-    if settings.directions == "one":
-        return jnp.zeros_like(index, bool)
-    if settings.split == "even":
-        return lax.rem(index, jnp.asarray(2, index.dtype)) == 1
-    taps = jnp.round(local["share"] * settings.samples)
-    return jnp.floor((index + 1) * taps / settings.samples) > jnp.floor(
-        index * taps / settings.samples
-    )
 
 
 def _weight(distance, along_pixel, along_sample, sample, local):
@@ -119,7 +108,7 @@ def _sample(size, settings, index, local, tables):
     """Weighted color, weight and count of a tap (passes 7 and 8)."""
     count = local.get("count", settings.samples)
     position = tap_position(index, count, local["jitter"])
-    second = _to_second_direction(index, settings, local)
+    second = follows_center(index, settings, local.get("share"))
     direction = [
         jnp.where(second, *pair) for pair in zip(local["center"], local["along"], strict=True)
     ]
@@ -134,23 +123,6 @@ def _sample(size, settings, index, local, tables):
     weight = jnp.where(counts, weight, 0)
     colors = read_color(tables["color"], texels, size, settings.fetch)
     return (*(weight * color for color in colors), weight, counts.astype(weight.dtype))
-
-
-def _directions(velocity, speed, dominant, gamma):
-    """The two unit directions (pass 6): along the dominant velocity, and the center direction.
-
-    ``w_c = normalize((1 - a) w_p + a v / ||v||)``, ``a = clip((||v|| - 0.5) / gamma, 0, 1)``,
-    w_p the perpendicular of the dominant direction on the side of v [eq. 3.1, departure 2].
-    """
-    along_x, along_y = safe_normalize(*dominant)
-    # Compared before normalizing: where v is the dominant velocity the two products are equal to
-    # the bit, and the side does not hang on rounding.
-    side = jnp.where(dominant[0] * velocity[1] < dominant[1] * velocity[0], -1, 1)
-    own_share = jnp.clip((speed - SPEED_FLOOR) / gamma, 0, 1)
-    own_x, own_y = safe_normalize(*velocity)
-    center_x = own_share * own_x - (1 - own_share) * side * along_y
-    center_y = own_share * own_y + (1 - own_share) * side * along_x
-    return (along_x, along_y), safe_normalize(center_x, center_y)
 
 
 def _buffers(frame, speed, tiles, noise, parameters, settings):
@@ -200,7 +172,7 @@ def _prepare_pixel(settings, local, tables, found):
     dominant, reach = found
     motion = {name: channel(local["motion"], k) for k, name in enumerate(MOTION)}
     velocity, speed = (motion["x"], motion["y"]), 1 / motion["inverse_speed"]
-    along, center = _directions(velocity, speed, dominant, local["gamma"])
+    along, center = two_directions(velocity, speed, dominant, local["gamma"])
     kept = ("sharpness", "kappa", "share")
     needed = {name: local[name] for name in kept if name in local} | {
         "inverse_speed": motion["inverse_speed"],
@@ -239,19 +211,23 @@ def _reconstruct(frame, local, tables, settings):
     return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
 
 
-def _tile_choices(shape, parameters, settings, noise):
-    """The tiles that a pixel may read and their probabilities (pass 4), both (K, H, W)."""
-    if settings.tile_choice == "expected":
-        return reachable_tiles(shape, settings.radius, parameters.tau)
-    if settings.tile_choice == "stochastic":
-        tile = stochastic_tile(noise.tile, parameters.tau, settings.radius)
-    else:
-        tile = own_tile(shape, settings.radius)
-    return tile[None, ..., 0], jnp.ones((1, *shape), parameters.tau.dtype)
+def prepare_frame(
+    frame: Frame, parameters: GuertinParameters, settings: Settings
+) -> tuple[Frame, GuertinParameters, jax.Array, jax.Array]:
+    """Check the inputs and find the dominant velocities (passes 1 to 3).
 
+    Args:
+        frame: as `guertin2014`.
+        parameters: as `guertin2014`.
+        settings: its radius and diagonal tiles are used.
 
-def _prepare(frame, parameters, settings):
-    """Checked inputs in one dtype, speeds, and the dominant velocities (passes 1 to 3)."""
+    Returns:
+        Frame and parameters in one dtype, (H, W) speed in pixels, not clamped, and (TH, TW, 2)
+        dominant velocity of the neighborhood of each tile.
+
+    Raises:
+        ValueError: shapes disagree.
+    """
     check_parameters(parameters, GuertinParameters)
     frame = check_frame(frame)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
@@ -352,7 +328,7 @@ def tile_outcomes(
     """
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
-    frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
+    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
     anything = jnp.any(safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR)
 
     if settings.tile_choice == "expected":
@@ -395,10 +371,10 @@ def luma_hint(
     Raises:
         ValueError: shapes disagree.
     """
-    frame, parameters, _, tiles = _prepare(frame, parameters, settings)
+    frame, parameters, _, tiles = prepare_frame(frame, parameters, settings)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
-    indices, chances = _tile_choices((height, width), parameters, settings, noise)
+    indices, chances = tile_choices((height, width), jnp.asarray(parameters.tau), settings, noise)
     reach = safe_norm(tiles[..., 0], tiles[..., 1]).reshape(-1)[indices]
     blurred = jnp.any((reach > SPEED_FLOOR) & (chances > 0), axis=0)
     checker = (jnp.arange(height)[:, None] + jnp.arange(width)) % 2

@@ -13,13 +13,8 @@ from ..safe_math import safe_norm
 from ..sampling import tap_position
 from ..settings import Settings
 from ..tiles import clamp_speed, sample_tiles, tile_variance
-from .guertin2014 import (
-    GuertinParameters,
-    _directions,
-    _prepare,
-    _tile_choices,
-    _to_second_direction,
-)
+from .guertin2014 import GuertinParameters, prepare_frame
+from .two_directions import follows_center, tile_choices, two_directions
 
 
 class Taps(NamedTuple):
@@ -87,21 +82,20 @@ def _taps_at(
 ) -> Taps:
     """Compiled once for all pixels of frames of one size."""
     height, width = frame.depth.shape
-    frame, parameters, speed, tiles = _prepare(frame, parameters, settings)
+    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
     noise = resolve_noise(noise, settings.noise, height, width)
     velocity, speed = clamp_speed(frame.velocity, settings.radius, speed)
-    indices, chances = _tile_choices((height, width), parameters, settings, noise)
+    indices, chances = tile_choices((height, width), jnp.asarray(parameters.tau), settings, noise)
     dominant = tiles.reshape(-1, 2)[indices[:, row, column]]
     own = (velocity[row, column, 0], velocity[row, column, 1])
     along, center = jax.vmap(
-        lambda vector: _directions(own, speed[row, column], tuple(vector), parameters.gamma)
+        lambda vector: two_directions(own, speed[row, column], tuple(vector), parameters.gamma)
     )(dominant)
-    local = {}
+    share = None
     if settings.split == "variance":
-        share = sample_tiles(tile_variance(tiles), settings.radius, height, width)
-        local["share"] = share[row, column]
+        share = sample_tiles(tile_variance(tiles), settings.radius, height, width)[row, column]
     index = jnp.arange(settings.samples)
-    second = _to_second_direction(index, settings, local)
+    second = follows_center(index, settings, share)
     jitter = noise.tap[row, column] * parameters.eta * parameters.phi / settings.samples
     position = tap_position(index, settings.samples, jitter)
     along, center = (jnp.stack(direction, axis=-1) for direction in (along, center))
