@@ -101,8 +101,7 @@ def blur_rows(
 
     Returns:
         (H, W, C), what the filter returns for the frame, with the noise of the whole frame: to the
-        bit where taps read the nearest texel; bilinear positions and the shares of
-        ``split="variance"`` are rounded at other places.
+        bit, but for the shares of ``split="variance"``, which are rounded at other places.
 
     Raises:
         ValueError: as the filter, or the parameters are traced.

@@ -42,9 +42,13 @@ def rows(label, name, shape, used, settings={}, noise=random_noise, **fields):
 
 for name in ("mcguire2012", "pixel_velocity"):
     rows(name, name, (61, 20), 2)
+    rows(name + ", bilinear", name, (61, 20), 2, {"fetch": "bilinear"})
 # What is fast is on one device alone.
 slow = random_frame((150, 20), speed=4.0).velocity.at[:30].multiply(8)
-rows("layered", "layered", (150, 20), 2, {"radius": 24}, velocity=slow)
+for fetch in ("nearest", "bilinear"):
+    options = {"radius": 24, "fetch": fetch}
+    rows("layered, " + fetch, "layered", (150, 20), 2, options, velocity=slow)
+rows("guertin2014, bilinear", "guertin2014", (61, 20), 2, {"fetch": "bilinear"})
 mask = jnp.asarray(np.random.default_rng(5).random((79, 24)) > 0.2)
 rows("three, masked", "guertin2014", (79, 24), 3, valid=mask)
 rows("built-in noise", "guertin2014", (79, 24), 2, noise=lambda shape: None)
@@ -104,7 +108,11 @@ def report(tmp_path_factory):
     return json.loads(outcome.stdout.splitlines()[-1])
 
 
-ROWS = ("mcguire2012", "pixel_velocity", "layered", "three, masked", "far taps", "built-in noise")
+ROWS = (
+    *("mcguire2012", "pixel_velocity", "layered, nearest", "three, masked", "far taps"),
+    *("built-in noise", "mcguire2012, bilinear", "pixel_velocity, bilinear", "layered, bilinear"),
+    "guertin2014, bilinear",
+)
 
 
 @pytest.mark.parametrize("label", ROWS)
@@ -127,13 +135,15 @@ def uneven_frame(shape, curved):
     return dataclasses.replace(frame, velocity=velocity, path=path, valid=valid)
 
 
+@pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
 @pytest.mark.parametrize(
     ("name", "radius", "curved"), [*((name, 40, False) for name in FILTERS), ("layered", 16, True)]
 )
-def test_a_part_with_its_halo_is_the_whole_to_the_bit(name, radius, curved):
+def test_a_part_with_its_halo_is_the_whole_to_the_bit(name, radius, curved, fetch):
     """What is farther away, faster too, changes nothing."""
     frame, noise = uneven_frame((160, 152), curved), random_noise((160, 152))
-    settings, parameters = jaxblur.Settings(samples=7, radius=radius), PUBLISHED[name][0]
+    settings = jaxblur.Settings(samples=7, radius=radius, fetch=fetch)
+    parameters = PUBLISHED[name][0]
     tile, reach = row_reach(name, parameters, settings, curved=curved)
     halo = -(-reach // tile) * tile
     blur = functools.partial(FILTERS[name], settings=settings)
@@ -148,7 +158,7 @@ def test_a_part_with_its_halo_is_the_whole_to_the_bit(name, radius, curved):
     assert np.abs(alone - whole[cut]).max() > 0.01, "without its halo it differs"
 
 
-def test_rows_where_positions_are_rounded_at_other_places(report):
+def test_rows_where_shares_are_rounded_at_other_places(report):
     difference, change, devices = report["rounded"]
     assert difference < 1e-5
     assert change > 0.1 and devices == 2
