@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur import exr, metrics
+from jaxblur import exr, metrics, scenes
+from jaxblur.filters import PUBLISHED
 from jaxblur.filters.reaching import fine_tile, reaching_pixels
 from jaxblur.filters.silhouettes import purest_motion
 from tests.exr_files import CAR
@@ -71,6 +72,27 @@ def test_a_uniform_pan_is_the_box_filter():
     box = np.mean([texture(x - t) for t in np.linspace(-7, 7, 1001)], axis=0)
     inner = np.s_[:, 8:-8]
     assert metrics.psnr(blurred[inner], box[inner]) > 50
+
+
+def shifted(color, distance):
+    """The image moved to the right, linear between texels."""
+    whole = int(np.floor(distance))
+    share = distance - whole
+    return (1 - share) * np.roll(color, whole, 1) + share * np.roll(color, whole + 1, 1)
+
+
+@pytest.mark.parametrize("noise", ["none", "ign"])
+def test_the_pan_of_the_catalogue_is_the_box_filter(noise):
+    frame = scenes.render(scenes.SCENES["uniform_pan"](), 0.0, 0.5, (90, 160))
+    (speed, _), rest = np.asarray(frame.velocity[0, 0]), frame.velocity - frame.velocity[0, 0]
+    assert abs(speed) > 1 and float(jnp.max(jnp.abs(rest))) < 1e-3
+    settings = dataclasses.replace(PUBLISHED["layered"][1], noise=noise)
+    blurred = jaxblur.layered(frame, PARAMETERS, settings=settings)
+    times = (np.arange(400) + 0.5) / 200 - 1
+    color = np.asarray(frame.color)
+    box = np.mean([shifted(color, speed * time) for time in times], axis=0)
+    shown, expected = (metrics.display(image)[:, 8:-8] for image in (blurred, box))
+    assert metrics.psnr(shown, expected) > 50
 
 
 def block_over_wall(speed=8.0, width=12):
@@ -191,10 +213,10 @@ def test_what_is_fast_elsewhere_does_not_change_which_lines_cross_a_tile():
     frame = random_frame((300, 300), speed=14.0)
     velocity = frame.velocity.at[:20].multiply(3)
     x, y = jnp.clip(velocity, -25, 25)[..., 0], jnp.clip(velocity, -25, 25)[..., 1]
-    planes = x, y, jnp.log(jnp.minimum(frame.depth, 1e18))
+    log_depth = jnp.log(jnp.minimum(frame.depth, 1e18))
 
     def pixels(start):
-        return reaching(*(plane[start:] for plane in planes), 40)
+        return reaching(x[start:], y[start:], log_depth[start:], 40)
 
     whole, part = pixels(0)[:, 5:], pixels(40)
     part = np.where(part >= 0, part + 40 * 300, -1)

@@ -2,18 +2,17 @@
 
     python -m experiments.012_layered.fit_defaults -o OUT [--reference-data DIR] [--steps N]
 
-Ten scenes, every other one with curved paths, in two halves. Each half is fitted from two starts;
-the fit that gains most counts, and is judged on the other half. With
+Ten scenes, every other one with curved paths. The parameters that they tell are fitted to all of
+them, from two starts: rounded, these are the defaults. Then all parameters that could be fitted, to
+each half of the scenes from both starts; the fit that gains most is judged on the other half. With
 DIR (scenes as ``experiments/blender/render_reference.py`` writes them), the fits are judged there
 too, rounded to two digits, as they would be shipped. Writes ``fits.csv`` and ``fits.md`` (what was
 fitted), ``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst
 change against the defaults). Seeds are fixed.
 """
 
-import argparse
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -29,21 +28,24 @@ HALVES = (
     ("flagpole", "wheels_at_three_depths", "cube_between_crates", "gears", "rotation_stress"),
 )
 SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 1.5, 96
-FREE = ("front_sharpness", "landing_tolerance", "own_tolerance", "surface_sharpness", "distinct")
+TOLD = ("front_sharpness", "landing_tolerance", "own_tolerance")
+ALL = (*TOLD, "surface_sharpness", "distinct")
 DEFAULTS, SETTINGS = PUBLISHED["layered"]
 STARTS = {
-    "defaults": {},
+    "round values": {"front_sharpness": 10.0, "landing_tolerance": 1.0, "own_tolerance": 0.35},
     "soft": {"front_sharpness": 3.0, "landing_tolerance": 2.0, "own_tolerance": 1.0},
 }
 
 
-def fit(examples: Sequence[common.Example], start: dict[str, float], steps: int) -> Any:
-    """Fit the free parameters to some examples, by the error that is shown."""
+def fit(
+    examples: Sequence[common.Example], free: Sequence[str], start: dict[str, float], steps: int
+) -> Any:
+    """Fit free parameters to some examples, by the error that is shown."""
     return jaxblur.fit(
         "layered",
         [(example.frame, example.truth) for example in examples],
         initial=start,
-        free=FREE,
+        free=free,
         pixel="display",
         noise="builtin",
         settings=SETTINGS,
@@ -53,7 +55,9 @@ def fit(examples: Sequence[common.Example], start: dict[str, float], steps: int)
 
 def rounded(values: dict[str, float]) -> jaxblur.LayeredParameters:
     """The defaults with the fitted values, to two digits."""
-    return dataclasses.replace(DEFAULTS, **{name: float(f"{values[name]:.2g}") for name in FREE})
+    return dataclasses.replace(
+        DEFAULTS, **{k: float(f"{value:.2g}") for k, value in values.items()}
+    )
 
 
 def psnr(example: common.Example, parameters: jaxblur.LayeredParameters) -> float:
@@ -72,14 +76,15 @@ def changes(
 
 
 def best_fit(
-    label: str, examples: Sequence[common.Example], steps: int
+    label: str, examples: Sequence[common.Example], free: Sequence[str], steps: int
 ) -> tuple[dict[str, float], list[list[Any]]]:
     """The fit that gains most of those from all starts, and one row of the table for each."""
     fits, rows = [], []
     for name, start in STARTS.items():
-        fits.append(fit(examples, start, steps).parameters)
+        fitted = fit(examples, free, start, steps).parameters
+        fits.append({k: fitted[k] for k in free})
         _, gain, _ = changes(examples, dataclasses.replace(DEFAULTS, **fits[-1]))
-        rows.append([label, name, *(fits[-1][k] for k in FREE), gain])
+        rows.append([label, name, *(fits[-1].get(k, "") for k in ALL), gain])
         print(*rows[-1], flush=True)
     best = max(range(len(fits)), key=lambda index: rows[index][-1])
     jax.clear_caches()
@@ -93,24 +98,25 @@ def load(name: str, index: int) -> common.Example:
 
 def main() -> None:
     """Fit, judge, write the tables."""
-    parser = argparse.ArgumentParser(description="Fit the defaults of layered.")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="judge on these too")
+    parser = common.output_parser("Fit the defaults of layered.", "judge on these too")
     parser.add_argument("--steps", type=int, default=30, help="of each fit (default %(default)s)")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
     first, second = ([load(name, i) for i, name in enumerate(half)] for half in HALVES)
     folder = options.reference_data
     others = {"reference frames": common.full_size_examples(folder)} if folder else {}
     fits, validation = [], []
-    parts = {"first half": (first, second), "second half": (second, first)}
-    for label, (training, rest) in parts.items():
-        values, rows = best_fit(label, training, options.steps)
+    parts = {
+        "all scenes": (TOLD, first + second, []),
+        "first half": (ALL, first, second),
+        "second half": (ALL, second, first),
+    }
+    for label, (free, training, rest) in parts.items():
+        values, rows = best_fit(label, training, free, options.steps)
         fits += rows
-        judged = {"fitted": training, "held out": rest} | others
+        judged = {"fitted": training} | ({"held out": rest} if rest else {}) | others
         for kind, examples in judged.items():
             validation.append([label, kind, *changes(examples, rounded(values))])
-    columns = ["fitted to", "from", *FREE, "gain there, dB"]
+    columns = ["fitted to", "from", *ALL, "gain there, dB"]
     common.write_table(options.output, "fits", columns, fits)
     columns = ["fitted to", "judged on", "defaults, dB", "mean change, dB", "worst change, dB"]
     common.write_table(options.output, "validation", columns, validation)

@@ -88,9 +88,9 @@ FILTERS: dict[str, Published] = {
     "pixel_velocity": Published({}, samples=35, radius=40),
     "layered": Published(
         {
-            "front_sharpness": _positive(10.0, "how strictly one depth is in front of another"),
+            "front_sharpness": _positive(6.7, "how strictly one depth is in front of another"),
             "landing_tolerance": _positive(1.0, "px by which a guess may miss the pixel"),
-            "own_tolerance": _positive(0.35, "change of velocity within a surface, share"),
+            "own_tolerance": _positive(0.42, "change of velocity within a surface, share"),
             "surface_sharpness": _positive(20.0, "how strictly depths of a surface agree"),
             "bend": Parameter(0.5, 0.0, 1.0, False, "bending of the own way by its velocities"),
             "jitter": Parameter(1.0, 0.0, 1.0, False, "noise of the taps, share of a stratum"),
