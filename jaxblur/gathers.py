@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
-from .native import Stages, native_gather
+from .native import Stages, native_gather, no_samples
 from .sample_sums import Plan, image_size, on_cpu, replaced, sum_samples
 from .settings import Backend
 
@@ -103,35 +103,14 @@ def everywhere(prepare: Callable[..., Any]) -> Stages:
         prepare: from (local, tables, found) to the results, a sequence of (H, W, 1) planes.
 
     Returns:
-        Stages for `gather_samples` with one sample.
+        Stages for `gather_samples` without samples.
     """
-    return alone(_all_pixels, prepare)
-
-
-def alone(moving: Callable[..., Any], prepare: Callable[..., Any]) -> Stages:
-    """Stages without samples.
-
-    Args:
-        moving: as that of `Stages`.
-        prepare: from (local, tables, found) to the results, a sequence of (H, W, 1) planes.
-
-    Returns:
-        Stages for `gather_samples` with one sample.
-    """
-    return Stages(moving, prepare, _as_prepared, _as_summed)
+    return Stages(_all_pixels, prepare)
 
 
 def _all_pixels(local: Any, _tables: Any) -> tuple[jax.Array, tuple[()]]:
     height, width, _ = jax.tree.leaves(local)[0].shape
     return jnp.ones((height, width, 1), bool), ()
-
-
-def _as_prepared(_index: jax.Array, prepared: Any, _tables: Any) -> tuple[jax.Array, ...]:
-    return tuple(prepared)
-
-
-def _as_summed(sums: tuple[jax.Array, ...], *_: Any) -> tuple[jax.Array, ...]:
-    return sums
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -164,15 +143,18 @@ def _by_stages(
     plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Which pixels move (H, W, 1), and their results: one stage after the other."""
+    local, tables = plan.operands(leaves)
+    if stages.sample is no_samples:
+        moving, found = stages.moving(local, tables)
+        return moving, jnp.concatenate(stages.prepare(local, tables, found), axis=-1)
 
     # Reverse mode computes these stages once more. Keeping their intermediate planes costs more:
-    # dozens of images, and a conditional around them copies every one.
+    # dozens of images.
     @jax.checkpoint
     def prepare(local, tables):
         moving, found = stages.moving(local, tables)
         return moving, stages.prepare(local, tables, found)
 
-    local, tables = plan.operands(leaves)
     moving, prepared = prepare(local, tables)
     sums = sum_samples(
         *(stages.sample, plan.count, moving[..., 0], prepared, tables),
@@ -241,6 +223,9 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
             for k in active
         ]
         return stages.prepare(local, tables, found), changes
+
+    if stages.sample is no_samples:
+        return Stages(stages.moving, lambda *operands: jax.tree.leaves(prepare(*operands)))
 
     def sample(index, prepared, tables):
         value, changes = prepared

@@ -84,7 +84,8 @@ def tap_position(
         Signed position; 1 is the end of the line.
     """
     # Symmetric about the middle to the bit, so that a reversed path has the same taps.
-    return ((2 * sample + 1 - count) + 2 * jitter) * (1 / (count + 1))
+    spacing = 1 / (count + 1)
+    return (2 * sample + 1 - count) * spacing + 2 * jitter * spacing
 
 
 def read_position(

@@ -21,6 +21,20 @@ from .safe_math import safe_divide, safe_norm, safe_normalize
 RING = ((0, 0), (-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
 
 
+def shortening(speed: Float[Array, "*shape"], radius: int) -> Float[Array, "*shape"]:
+    """Factor that clamps a vector to the radius, ``min(1, r / ||v||)``.
+
+    Args:
+        speed: norms in pixels.
+        radius: longest half-spread in pixels.
+
+    Returns:
+        Factors; the derivative at ``||v|| = r`` is 0, that of 1.
+    """
+    too_fast = speed > radius
+    return jnp.where(too_fast, radius / jnp.where(too_fast, speed, 1), 1)
+
+
 def clamp_speed(
     velocity: Float[Array, "*shape 2"],
     radius: int,
@@ -41,9 +55,7 @@ def clamp_speed(
         have the same speed to the bit, so that they tie in a tile maximum.
     """
     speed = safe_norm(velocity[..., 0], velocity[..., 1]) if speed is None else speed
-    too_fast = speed > radius
-    scale = jnp.where(too_fast, radius / jnp.where(too_fast, speed, 1), 1)
-    return velocity * scale[..., None], jnp.minimum(speed, radius)
+    return velocity * shortening(speed, radius)[..., None], jnp.minimum(speed, radius)
 
 
 def _faster(

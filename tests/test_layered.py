@@ -83,7 +83,7 @@ def shifted(color, distance):
 
 @pytest.mark.parametrize("noise", ["none", "ign"])
 def test_the_pan_of_the_catalogue_is_the_box_filter(noise):
-    frame = scenes.render(scenes.SCENES["uniform_pan"](), 0.0, 0.5, (90, 160))
+    frame = scenes.render(scenes.SCENES["uniform_pan"](), 0.0, 0.5, (180, 320))
     (speed, _), rest = np.asarray(frame.velocity[0, 0]), frame.velocity - frame.velocity[0, 0]
     assert abs(speed) > 1 and float(jnp.max(jnp.abs(rest))) < 1e-3
     settings = dataclasses.replace(PUBLISHED["layered"][1], noise=noise)

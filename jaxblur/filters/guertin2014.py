@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import cond_of_values, gather_samples
+from ..gathers import cond_of_values, everywhere, gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -23,11 +23,11 @@ from ..sampling import (
 )
 from ..settings import Settings
 from ..tiles import (
-    clamp_speed,
     dominant_velocity,
     own_tile,
     reachable_tiles,
     sample_tiles,
+    shortening,
     stochastic_tile,
     tile_variance,
 )
@@ -119,17 +119,27 @@ def _sample(size, settings, index, local, tables):
     if settings.direction_weights == "on":
         alignment = _alignment(second, direction, read, local)
     weight = _weight(jnp.abs(along), *alignment, read, local)
-    counts = texels.counts & (index < count)
+    counts = texels.counts & (index < count) if "count" in local else texels.counts
     weight = jnp.where(counts, weight, 0)
     colors = read_color(tables["color"], texels, size, settings.fetch)
-    return (*(weight * color for color in colors), weight, counts.astype(weight.dtype))
+    one, zero = jnp.ones((), weight.dtype), jnp.zeros((), weight.dtype)
+    return (*(weight * color for color in colors), weight, jnp.where(counts, one, zero))
+
+
+def _own_motion(radius, local, *_):
+    """What is known of a pixel's motion, clamped to the radius."""
+    shorter = shortening(local["speed"], radius)
+    speed = jnp.minimum(local["speed"], radius)
+    x, y = (channel(local["velocity"], k) * shorter for k in range(2))
+    return [x, y, 1 / floored_speed(speed), finite_depth(local["depth"])]
 
 
 def _buffers(frame, speed, tiles, noise, parameters, settings):
     """Local values and tables of the gather."""
-    velocity, speed = clamp_speed(frame.velocity, settings.radius, speed)
-    planes = (1 / floored_speed(speed), finite_depth(frame.depth))
-    motion = jnp.concatenate([velocity, *(plane[..., None] for plane in planes)], axis=-1)
+    planes = {"speed": speed[..., None], "depth": frame.depth[..., None]}
+    planes["velocity"] = frame.velocity
+    stages = everywhere(functools.partial(_own_motion, settings.radius))
+    motion = gather_samples(stages, 0, frame.velocity, planes, {}, settings.backend)
     local = {
         "motion": motion,
         "color": frame.color,

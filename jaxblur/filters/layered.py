@@ -30,7 +30,7 @@ from ..sampling import (
     sample_limit,
 )
 from ..settings import Settings
-from ..tiles import own_tile
+from ..tiles import own_tile, shortening
 from ..weights import SPEED_FLOOR, finite_depth
 from .masking import honoring_mask
 from .reaching import fine_tile, reaching_pixels
@@ -158,11 +158,6 @@ def _slice(size, settings, count, index, local, tables):
     return (*mixed, weight)
 
 
-def _within(x, y, longest):
-    """What a vector times so much is no longer than."""
-    return longest / jnp.maximum(safe_norm(x, y), longest)
-
-
 def _own_motion(radius, local, *_):
     """Velocity within the radius x, y, and log depth."""
     if "path" in local:
@@ -170,7 +165,7 @@ def _own_motion(radius, local, *_):
         x, y = (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
     else:
         x, y = (channel(local["velocity"], k) for k in range(2))
-    shorter = _within(x, y, radius)
+    shorter = shortening(safe_norm(x, y), radius)
     return [x * shorter, y * shorter, jnp.log(finite_depth(local["depth"]))]
 
 
@@ -180,7 +175,7 @@ def _motion(frame, parameters, settings):
     if frame.path is not None:
         local["path"] = frame.path.reshape(*frame.depth.shape, 4)
     prepare = functools.partial(_own_motion, settings.radius)
-    motion = gather_samples(everywhere(prepare), 1, frame.velocity, local, {}, settings.backend)
+    motion = gather_samples(everywhere(prepare), 0, frame.velocity, local, {}, settings.backend)
     return purest_motion(
         motion, parameters.surface_sharpness, parameters.thin_coverage, settings.backend
     )
@@ -194,8 +189,8 @@ def _half_acceleration(size, radius, taken, tables):
     x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
     # No longer than the radius, so that taps have a farthest place, and shorter by as much as the
     # velocity is.
-    shorter = _within((closing_x - opening_x) / 2, (closing_y - opening_y) / 2, radius)
-    shorter = shorter * _within(x, y, radius)
+    speed = safe_norm((closing_x - opening_x) / 2, (closing_y - opening_y) / 2)
+    shorter = shortening(speed, radius) * shortening(safe_norm(x, y), radius)
     return [x * shorter, y * shorter]
 
 

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..gathers import alone, gather_samples
+from ..gathers import gather_samples
+from ..native import Stages
 from ..sampling import channel, read_nearest, read_row
 from ..settings import Backend
 from ..weights import SPEED_FLOOR
@@ -120,8 +121,8 @@ def purest_motion(
     """
     height, width, _ = motion.shape
     local = {"motion": motion, "separation": separation, "coverage": coverage}
-    stages = alone(functools.partial(_jumps, (height, width)), _prepare)
-    return gather_samples(stages, 1, motion, local, {"motion": motion.reshape(-1)}, backend)
+    stages = Stages(functools.partial(_jumps, (height, width)), _prepare)
+    return gather_samples(stages, 0, motion, local, {"motion": motion.reshape(-1)}, backend)
 
 
 def taken_from(number: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], ...]:

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 
 from .build import BuildFailed, find_compiler, keep_kernels, register
-from .emit import Kernel, Stages, emit_gather, emit_pull
+from .emit import Kernel, Stages, emit_gather, emit_pull, no_samples
 from .operations import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 
-__all__ = ["Stages", "keep_kernels", "native_gather", "native_pull"]
+__all__ = ["Stages", "keep_kernels", "native_gather", "native_pull", "no_samples"]
 
 Sample = Callable[..., Any]
 

@@ -21,6 +21,11 @@ TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
 _SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
 
 
+def no_samples(*_: Any) -> tuple[()]:
+    """The terms of a pixel that reads nothing along a line."""
+    return ()
+
+
 class Stages(NamedTuple):
     """What happens at a pixel; elementwise but for reads of the tables.
 
@@ -29,7 +34,8 @@ class Stages(NamedTuple):
             pytree of what was found out on the way.
         prepare: from (local, tables, found) to a pytree of (H, W, 1) planes and scalars, once a
             pixel that moves. `sampling.channel` takes a local image apart.
-        sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms.
+        sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms; with
+            `no_samples` what is prepared, a sequence of planes, is the result.
         finish: from (sums (H, W, 1), prepared, local) to a tuple of (H, W, 1) results.
         limit: from prepared to a (H, W, 1) plane: samples from that number on have terms of 0, so
             that they may be left out; None where all count.
@@ -37,8 +43,8 @@ class Stages(NamedTuple):
 
     moving: Callable[..., Any]
     prepare: Callable[..., Any]
-    sample: Callable[..., Any]
-    finish: Callable[..., Any]
+    sample: Callable[..., Any] = no_samples
+    finish: Callable[..., Any] = lambda sums, *_: sums
     limit: Callable[..., Any] | None = None
 
 
@@ -73,7 +79,7 @@ class _Program:
         self.leaves = [value for _, value in pairs]
         self._moving: list[str | Read] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
-        self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept}
+        self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept, "SUMS": 0}
         self._rows_of_three: list[int] = []
 
     def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
@@ -191,22 +197,24 @@ def emit_gather(
     prepared, prepared_shapes = program.write(
         stages.prepare, (shapes, table_shapes, found_shapes), [*program.leaves, *found]
     )
-    program.stop_at(stages.limit, prepared_shapes, prepared)
-    index = jax.ShapeDtypeStruct((count,), jnp.int32)
-    terms, term_shapes = program.write(
-        stages.sample,
-        (index, prepared_shapes, table_shapes),
-        [_SAMPLE_NUMBER, *prepared, *table_values],
-    )
-    sums = program.sums(terms)
-    sum_shapes = tuple(jax.ShapeDtypeStruct((*size, 1), term.dtype) for term in term_shapes)
-    results, _ = program.write(
-        stages.finish,
-        (sum_shapes, prepared_shapes, shapes),
-        [*sums, *prepared, *program.leaves[: len(jax.tree.leaves(local))]],
-    )
-    shapes = ((*size, len(results)),) if kept else (size,) * len(results)
-    return Kernel(program.kernel(results), shapes)
+    results = prepared
+    if stages.sample is not no_samples:
+        program.stop_at(stages.limit, prepared_shapes, prepared)
+        index = jax.ShapeDtypeStruct((count,), jnp.int32)
+        terms, term_shapes = program.write(
+            stages.sample,
+            (index, prepared_shapes, table_shapes),
+            [_SAMPLE_NUMBER, *prepared, *table_values],
+        )
+        sums = program.sums(terms)
+        sum_shapes = tuple(jax.ShapeDtypeStruct((*size, 1), term.dtype) for term in term_shapes)
+        results, _ = program.write(
+            stages.finish,
+            (sum_shapes, prepared_shapes, shapes),
+            [*sums, *prepared, *program.leaves[: len(jax.tree.leaves(local))]],
+        )
+    buffers = ((*size, len(results)),) if kept else (size,) * len(results)
+    return Kernel(program.kernel(results), buffers)
 
 
 def emit_pull(

@@ -28,7 +28,10 @@ enum {
 #else
   LANES = 8,
 #endif
-  ROWS_AT_ONCE = 4, /* rows that a thread takes at a time */
+  STRIP = 256, /* pixels of a row at a time, so that what taps read of it stays in the cache */
+  STRIPS = (WIDTH + STRIP - 1) / STRIP,
+  ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time */
+  PARTS_OF_STRIP = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE,
   MOST_THREADS = 64,
   MOST_THREADS_WITH_TABLES = 8 /* each has tables of its own */
 };
@@ -248,12 +251,12 @@ struct Job {
   float* results[RESULTS + 1];
   float* tables[TABLES + 1];
   int threads;
-  std::atomic<int> next_row;
+  std::atomic<int> next_part;
 };
 
 /* Results of the lanes that move; what is kept by the others. */
-static inline void store_results(const Job* job, int first, int64_t pixel, Ints moving,
-                                 const Floats* results, int lanes) {
+static inline void store_results(const Job* job, int64_t pixel, Ints moving,
+                                 const Floats* results, int lanes, bool more) {
   if (KEPT == 0) {
     for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
     return;
@@ -262,7 +265,7 @@ static inline void store_results(const Job* job, int first, int64_t pixel, Ints 
     memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
     return;
   }
-  if (RESULTS <= 4 && lanes == LANES && first + LANES < WIDTH) {
+  if (RESULTS <= 4 && more) {
     const Ints own = ((int32_t)pixel + lane_numbers()) * (int32_t)KEPT;
     Floats columns[4] = {}, rows[4];
     for (int k = 0; k < RESULTS; ++k)
@@ -270,7 +273,8 @@ static inline void store_results(const Job* job, int first, int64_t pixel, Ints 
     make_rows(columns, rows);
     float memory[4][LANES];
     memcpy(memory, rows, sizeof memory);
-    /* A row of four each, the end of which the next one overwrites. */
+    /* A row of four each, the end of which the next one overwrites, at last that of the pixel
+       which this thread computes next. */
     for (int lane = 0; lane < LANES; ++lane)
       memcpy(job->results[0] + (pixel + lane) * RESULTS, memory[lane % 4] + lane / 4 * 4, 16);
     return;
@@ -285,13 +289,14 @@ static inline void store_results(const Job* job, int first, int64_t pixel, Ints 
   }
 }
 
-static void sum_row(const Job* job, float* const* tables, const int row) {
+static void sum_row(const Job* job, float* const* tables, const int row, const int from,
+                    const int until) {
   (void)tables;
   const int64_t start = (int64_t)row * WIDTH;
   const Ints y = wide((int32_t)row);
 @ARGUMENTS@
-  for (int first = 0; first < WIDTH; first += LANES) {
-    const int lanes = WIDTH - first < LANES ? WIDTH - first : LANES;
+  for (int first = from; first < until; first += LANES) {
+    const int lanes = until - first < LANES ? until - first : LANES;
     const int64_t pixel = start + first;
     const Ints x = first + lane_numbers();
     const Ints own = (int32_t)pixel + min_int(lane_numbers(), wide(lanes - 1));
@@ -308,7 +313,7 @@ static void sum_row(const Job* job, float* const* tables, const int row) {
       }
 @FINISH@
     }
-    store_results(job, first, pixel, moving, results, lanes);
+    store_results(job, pixel, moving, results, lanes, first + LANES < until);
   }
 }
 
@@ -323,12 +328,13 @@ struct Share {
 static void* work(void* argument) {
   Share* share = static_cast<Share*>(argument);
   Job* job = share->job;
-  const int step = job->threads * ROWS_AT_ONCE;
-  int start = TABLES ? share->number * ROWS_AT_ONCE : job->next_row.fetch_add(ROWS_AT_ONCE);
-  while (start < HEIGHT) {
-    const int end = start + ROWS_AT_ONCE < HEIGHT ? start + ROWS_AT_ONCE : HEIGHT;
-    for (int row = start; row < end; ++row) sum_row(job, share->tables, row);
-    start = TABLES ? start + step : job->next_row.fetch_add(ROWS_AT_ONCE);
+  int part = TABLES ? share->number : job->next_part.fetch_add(1);
+  while (part < STRIPS * PARTS_OF_STRIP) {
+    const int from = part / PARTS_OF_STRIP * STRIP, row = part % PARTS_OF_STRIP * ROWS_AT_ONCE;
+    const int until = from + STRIP < WIDTH ? from + STRIP : WIDTH;
+    const int end = row + ROWS_AT_ONCE < HEIGHT ? row + ROWS_AT_ONCE : HEIGHT;
+    for (int k = row; k < end; ++k) sum_row(job, share->tables, k, from, until);
+    part = TABLES ? part + job->threads : job->next_part.fetch_add(1);
   }
   return nullptr;
 }
@@ -340,7 +346,7 @@ static int count_threads(void) {
 #else
   const int count = (int)sysconf(_SC_NPROCESSORS_ONLN);
 #endif
-  const int useful = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
+  const int useful = STRIPS * PARTS_OF_STRIP;
   const int least = count < useful ? count : useful;
   const int most = TABLES ? MOST_THREADS_WITH_TABLES : MOST_THREADS;
   return least < most ? least : most;
@@ -418,7 +424,7 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   Job job;
   job.kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
   job.arguments = arguments;
-  job.next_row = 0;
+  job.next_part = 0;
   const int buffers = KEPT ? 1 : RESULTS;
   for (int k = 0; k < buffers; ++k)
     job.results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
