@@ -273,7 +273,7 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     make_rows(columns, rows);
     float memory[4][LANES];
     memcpy(memory, rows, sizeof memory);
-    /* A row of four each, the end of which the next one overwrites, at last that of the pixel
+    /* A row of four each, the end of which the next one overwrites, at last those of the pixels
        which this thread computes next. */
     for (int lane = 0; lane < LANES; ++lane)
       memcpy(job->results[0] + (pixel + lane) * RESULTS, memory[lane % 4] + lane / 4 * 4, 16);
@@ -313,7 +313,7 @@ static void sum_row(const Job* job, float* const* tables, const int row, const i
       }
 @FINISH@
     }
-    store_results(job, pixel, moving, results, lanes, first + LANES < until);
+    store_results(job, pixel, moving, results, lanes, first + LANES + 4 <= until);
   }
 }
 
