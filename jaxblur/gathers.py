@@ -39,7 +39,7 @@ def gather_samples(
             (H, W, 1) planes and scalars; ``sample(indices (n,), prepared, tables)`` a tuple of
             (H, W, n) terms; ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results.
             Elementwise but for reads of the tables. Part of the compilation key.
-        count: number of samples N.
+        count: number of samples N; 0 with `jaxblur.native.no_samples`.
         kept: (H, W, K) image, what the other pixels keep, K at most the number R of results;
             further channels are 0 there.
         local: pytree of (H, W, K) images, which `sampling.channel` takes apart, and scalars.
