@@ -316,7 +316,8 @@ def layered(
     """Blur by slices of time.
 
     Args:
-        frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels.
+        frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels; a path, if
+            there is one, is followed instead of the velocity, whose derivative is 0 then.
         parameters: see `LayeredParameters`.
         settings: samples (three to a slice, the rest left over), radius, spacing, border, fetch,
             noise, backend; the others are not used. ``bilinear`` mixes the two texels next to the
