@@ -28,7 +28,7 @@ enum {
 #else
   LANES = 8,
 #endif
-  STRIP = 256, /* pixels of a row at a time, so that what taps read of it stays in the cache */
+  STRIP = TABLES ? 256 : WIDTH, /* pixels of a row at a time: what taps add to stays in the cache */
   STRIPS = (WIDTH + STRIP - 1) / STRIP,
   ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time */
   PARTS_OF_STRIP = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE,
