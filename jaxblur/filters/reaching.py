@@ -133,7 +133,11 @@ def _slowest_first(speed: jax.Array, radius: int) -> Int[Array, " lines"]:
 
 
 class _Lines:
-    """The lines that the tiles' fastest pixels draw over the grid."""
+    """The lines that the tiles' fastest pixels draw over the grid.
+
+    What belongs to a line is there four times over, (4 T,), for the corners of its width: one
+    array for all is quicker than four.
+    """
 
     def __init__(
         self,
@@ -146,20 +150,33 @@ class _Lines:
         self._rows, self._columns = grid
         self._size, self._radius, self._count = fine_tile(radius), radius, len(pixel)
         width = speed.shape[1]
-        self._x, self._y, self._depth = motion.reshape(-1, motion.shape[-1])[pixel, :3].T
+        x, y, depth = motion.reshape(-1, motion.shape[-1])[pixel, :3].T
         # The speeds as they were clamped, equal to the bit: their ranks hang on no rounding.
-        self._speed = speed.reshape(-1)[pixel]
-        self._start_x, self._start_y = pixel % width + 0.5, pixel // width + 0.5
+        clamped = speed.reshape(-1)[pixel]
+        self._levels = _levels(self._size, self._count)
+        self._by_rank = _slowest_first(clamped, radius)
+        ranks = jnp.arange(self._count, dtype=jnp.int32)
+        ranks = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
         # No farther apart than a tile; rounding of a speed clamped to a whole number of tiles may
         # not add a step, which would move all of them.
-        self._steps = jnp.maximum(jnp.ceil(self._speed / self._size - 1e-3), 1)
-        self._levels = _levels(self._size, self._count)
-        self._by_rank = _slowest_first(self._speed, radius)
-        ranks = jnp.arange(self._count, dtype=jnp.int32)
-        self._rank = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
+        steps = jnp.maximum(jnp.ceil(clamped / self._size - 1e-3), 1)
+        half = self._size / 2 - _INSET
+        right, down = (jnp.asarray(side, speed.dtype) for side in ((-1, 1, -1, 1), (-1, -1, 1, 1)))
+
+        def at_corners(start, side):
+            return (side[:, None] * half + (start + 0.5)).reshape(-1)
+
+        self._start_x, self._start_y = (
+            at_corners(pixel % width, right),
+            at_corners(pixel // width, down),
+        )
+        planes = (x, y, depth, clamped, steps, ranks)
+        self._x, self._y, self._depth, self._speed, self._steps, self._rank = (
+            jnp.tile(plane, 4) for plane in planes
+        )
 
     def in_front(self, depth, tile):
-        """Whether each line is in front of the depth at one tile for each line."""
+        """Whether each line is in front of the depth at one tile for each corner."""
         return depth[tile] - self._depth > IN_FRONT
 
     def unlikeness_to(self, first):
@@ -179,7 +196,7 @@ class _Lines:
         """Number of the line of the highest level of those that cross each tile, -1 for none.
 
         Args:
-            level: maps one tile for each line to the levels of the lines there, whole numbers;
+            level: maps one tile for each corner to the levels of the lines there, whole numbers;
                 lines below 0 do not count, and of one level the fastest does.
 
         Returns:
@@ -189,25 +206,19 @@ class _Lines:
         most = jnp.max(self._steps).astype(jnp.int32)
 
         def add_step(step, best):
-            on_line = counts & (jnp.abs(step) <= self._steps)
-            for tile, inside in self._crossed(step):
-                key = level(tile) * self._count + self._rank
-                best = best.at[tile].max(jnp.where(inside & on_line, key, -1))
-            return best
+            tile, inside = self._crossed(step)
+            key = level(tile) * self._count + self._rank
+            on_line = inside & counts & (jnp.abs(step) <= self._steps)
+            return best.at[tile].max(jnp.where(on_line, key, -1))
 
         none = jnp.full(self._count, -1, jnp.int32)
         best = lax.fori_loop(-most, most + 1, add_step, none)
         return jnp.where(best >= 0, self._by_rank[best % self._count], -1)
 
     def _crossed(self, step):
-        """The four tiles under each line's width at a step of its own, and whether in the grid."""
-        middle_x = self._start_x + step * (self._x / self._steps)
-        middle_y = self._start_y + step * (self._y / self._steps)
-        half = self._size / 2 - _INSET
-        for down in (-half, half):
-            row = jnp.floor((middle_y + down) / self._size)
-            for right in (-half, half):
-                column = jnp.floor((middle_x + right) / self._size)
-                inside = (row >= 0) & (row < self._rows) & (column >= 0) & (column < self._columns)
-                tile = jnp.where(inside, row * self._columns + column, 0)
-                yield tile.astype(jnp.int32), inside
+        """The tiles under each line's corners at a step of its own, and whether in the grid."""
+        row = jnp.floor((self._start_y + step * (self._y / self._steps)) / self._size)
+        column = jnp.floor((self._start_x + step * (self._x / self._steps)) / self._size)
+        inside = (row >= 0) & (row < self._rows) & (column >= 0) & (column < self._columns)
+        tile = jnp.where(inside, row * self._columns + column, 0)
+        return tile.astype(jnp.int32), inside
