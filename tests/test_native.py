@@ -18,8 +18,8 @@ from jaxblur.settings import Backend
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
 
-# No multiple of the lanes of a vector, fewer rows than a thread takes, one pixel, several strips
-# the last of which ends two pixels after a vector.
+# No multiple of the lanes of a vector, fewer rows than a thread takes, one pixel, rows that end two
+# pixels after a vector.
 SIZES = [(9, 37), (3, 16), (1, 1), (6, 530)]
 
 
@@ -210,6 +210,21 @@ OPERATIONS = {
 def test_operations_mean_the_same(name):
     ours, theirs = (sum_of(OPERATIONS[name], backend=kind) for kind in ("native", "xla"))
     np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=2e-6)
+
+
+def test_neighbors_in_memory_are_read_as_often_as_they_are_asked_for():
+    image = jnp.asarray(np.random.default_rng(0).random((3, 19, 2)), jnp.float32)
+
+    def prepare(local, tables, found):
+        first, second, again = (sampling.channel(local, k) for k in (0, 1, 1))
+        return [first + 2 * second, again]
+
+    stages = native.Stages(
+        moving=lambda local, _: (jnp.ones((3, 19, 1), bool), ()), prepare=prepare
+    )
+    ours = gathers.gather_samples(stages, 0, image, image, {}, "native")
+    expected = [image[..., 0] + 2 * image[..., 1], image[..., 1]]
+    np.testing.assert_allclose(ours, np.stack(expected, axis=-1), rtol=1e-6)
 
 
 def test_logarithms_of_what_is_not_usual():

@@ -169,7 +169,7 @@ def _operands(local: Any, tables: Any) -> list[tuple[Any, bool]]:
 def emit_gather(
     stages: Stages, count: int, size: tuple[int, int], local: Any, tables: Any, kept: int = 0
 ) -> Kernel:
-    """Write `jaxblur.sample_sums.gather_samples` in C++.
+    """Write `jaxblur.gathers.gather_samples` in C++.
 
     Args:
         stages: what happens at a pixel.

@@ -231,7 +231,7 @@ class Writer:
         read = Read(table, base, distance, self._name())
         # The place where its neighbor stands is earlier: there both indices are known.
         first = self._reads.get((id(statements), table, base, distance - 1))
-        if distance % 2 and first:
+        if distance % 2 and first and not first.second:
             first.second, read.done = read.name, True
         self._reads[id(statements), table, base, distance] = read
         statements.append(read)
