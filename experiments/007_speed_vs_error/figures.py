@@ -54,7 +54,7 @@ def draw_growth(path: Path, rows: Sequence[Row]) -> None:
         path: of the PNG.
         rows: of the scene in which everything moves.
     """
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    figure = Figure(figsize=(13, 6.5), layout="constrained")
     for cell, (name, factor) in zip(figure.subplots(1, len(FACTORS)), FACTORS.items(), strict=True):
         lines: dict[Any, list[tuple[float, float, float]]] = {}
         for row in rows:
@@ -79,8 +79,9 @@ def draw_growth(path: Path, rows: Sequence[Row]) -> None:
                     label=label,
                 )
         cell.set(xscale="log", yscale="log", xlabel=name, ylabel="ms")
+        cell.tick_params(which="minor", labelbottom=False)
         cell.grid(which="both", alpha=0.2)
-        cell.legend(fontsize="x-small")
+        cell.legend(fontsize="x-small", loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
     figure.savefig(path, dpi=90)
 
 
