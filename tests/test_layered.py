@@ -147,8 +147,9 @@ def test_what_turns_is_blurred_along_its_arc():
 
 def pure_velocity(velocity, log_depth, coverage):
     motion = np.concatenate([velocity, log_depth[..., None]], axis=-1)
+    depth = jnp.exp(jnp.asarray(log_depth, jnp.float32))
     pure = purest_motion(
-        jnp.asarray(motion, jnp.float32), jnp.float32(20), jnp.float32(coverage), "auto"
+        jnp.asarray(motion, jnp.float32), depth, jnp.float32(20), jnp.float32(coverage), "auto"
     )
     np.testing.assert_array_equal(pure[..., 2], motion[..., 2].astype(np.float32))
     return np.moveaxis(np.asarray(pure[..., :2]), -1, 0)
@@ -178,9 +179,8 @@ def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
 
 
 def reaching(x, y, log_depth, radius):
-    motion = jnp.stack([x, y, log_depth], axis=-1)
-    speed = jnp.hypot(motion[..., 0], motion[..., 1])
-    return np.asarray(reaching_pixels(motion, speed, jnp.exp(motion[..., 2]), radius))
+    motion = jnp.stack([x, y, log_depth, jnp.zeros_like(x)], axis=-1)
+    return np.asarray(reaching_pixels(motion, radius, "auto"))
 
 
 def reached(velocity, at=(20, 20), radius=40):

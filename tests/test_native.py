@@ -330,6 +330,8 @@ def test_the_oldest_kernels_go_first(monkeypatch, tmp_path):
     for age, name in enumerate(("new", "old", "oldest")):
         (folder / f"{name}.so").touch()
         os.utime(folder / f"{name}.so", (0, 1000 - age))
+    # What another process removes meanwhile has no age.
+    (folder / "gone.so").symlink_to(folder / "nowhere")
     name = build.register(tiny_program(104))
     assert sorted(path.stem for path in folder.iterdir()) == sorted([name, "new"])
 

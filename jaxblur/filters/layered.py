@@ -177,7 +177,8 @@ def _motion(frame, parameters, settings):
     prepare = functools.partial(_own_motion, settings.radius)
     motion = gather_samples(everywhere(prepare), 0, frame.velocity, local, {}, settings.backend)
     return purest_motion(
-        motion, parameters.surface_sharpness, parameters.thin_coverage, settings.backend
+        *(motion, frame.depth, parameters.surface_sharpness, parameters.thin_coverage),
+        settings.backend,
     )
 
 
@@ -194,12 +195,9 @@ def _half_acceleration(size, radius, taken, tables):
     return [x * shorter, y * shorter]
 
 
-def _reaching_velocities(motion, depth, radius):
+def _reaching_velocities(motion, settings):
     """The two velocities that matter in each fine tile, (rows, columns, 4); 0 for none."""
-    # Clamped vectors tie in a tile maximum, whatever rounding made of them.
-    speed = safe_norm(motion[..., 0], motion[..., 1])
-    speed = jnp.where(speed > radius * (1 - 1e-5), jnp.asarray(radius, speed.dtype), speed)
-    pixels = reaching_pixels(motion, speed, finite_depth(depth), radius)
+    pixels = reaching_pixels(motion, settings.radius, settings.backend)
     vectors = motion.reshape(-1, motion.shape[-1])[pixels, :2]
     vectors = jnp.where((pixels >= 0)[..., None], vectors, 0)
     return jnp.concatenate(list(vectors), axis=-1)
@@ -352,7 +350,7 @@ def layered(
     images = {
         "motion": motion,
         "color": frame.color,
-        "others": _reaching_velocities(motion, frame.depth, settings.radius),
+        "others": _reaching_velocities(motion, settings),
     }
     if frame.path is not None:
         images["path"] = frame.path

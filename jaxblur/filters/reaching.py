@@ -8,6 +8,7 @@ nothing that is farther away: a part of a frame gives what the frame does.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 
 import jax
@@ -15,8 +16,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from ..gathers import everywhere, gather_samples
 from ..safe_math import safe_norm
-from ..tiles import tile_argmax
+from ..sampling import read_row
+from ..settings import Backend
 from ..weights import SPEED_FLOOR
 
 USUAL_TILE = 8
@@ -60,10 +63,7 @@ def fine_tile(radius: int) -> int:
 
 
 def reaching_pixels(
-    motion: Float[Array, "height width components"],
-    speed: Float[Array, "height width"],
-    depth: Float[Array, "height width"],
-    radius: int,
+    motion: Float[Array, "height width 4"], radius: int, backend: Backend
 ) -> Int[Array, "2 rows columns"]:
     """The two pixels whose motions matter most in each tile of a fine grid.
 
@@ -75,20 +75,17 @@ def reaching_pixels(
     Args:
         motion: half-spread in pixels, to the right and downward; the natural logarithm of the
             depth; and what else belongs to a motion.
-        speed: norm of the half-spread, at most the radius.
-        depth: finite, in scene units.
         radius: longest half-spread in pixels, which tells the side of a tile (`fine_tile`).
+        backend: see `jaxblur.Settings`.
 
     Returns:
         Row-major indices into the image, -1 where there is no such line.
     """
-    motion, speed, depth = lax.stop_gradient((motion, speed, depth))
-    size = fine_tile(radius)
-    winner = tile_argmax(speed, size)
-    pixel = winner.reshape(-1)
-    farthest = jnp.log(_tile_highest(depth, size))
+    motion = lax.stop_gradient(motion)
+    winner, farthest = _fastest_and_farthest(motion, radius, backend)
     rows, columns = winner.shape
-    lines = _Lines(pixel, motion, speed, (rows, columns), radius)
+    pixel = winner.reshape(-1)
+    lines = _Lines(pixel, motion, (rows, columns), radius)
     in_front = functools.partial(lines.in_front, farthest)
     first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
     unlikeness = lines.unlikeness_to(first)
@@ -97,13 +94,47 @@ def reaching_pixels(
     return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, rows, columns)
 
 
-def _tile_highest(plane: jax.Array, size: int) -> Float[Array, " tiles"]:
-    """The highest value in each tile."""
-    height, width = plane.shape
-    padding = ((0, -height % size), (0, -width % size))
-    return lax.reduce_window(plane, -jnp.inf, lax.max, (size, size), (size, size), padding).reshape(
-        -1
+def _at_most(most: int, value: jax.Array) -> jax.Array:
+    """The value, and `most` from a little below it on: so clamped vectors tie, rounded or not."""
+    return jnp.where(value > most * (1 - 1e-5), jnp.asarray(most, value.dtype), value)
+
+
+def _fastest_and_farthest(
+    motion: Float[Array, "height width 4"], radius: int, backend: Backend
+) -> tuple[Int[Array, "rows columns"], Float[Array, " tiles"]]:
+    """Of each tile the fastest pixel, the first of equal ones, and the greatest log depth."""
+    (height, width, _), size = motion.shape, fine_tile(radius)
+    grid = -(-height // size), -(-width // size)
+    stages = everywhere(functools.partial(_compare_pixels, (height, width), radius))
+    nothing = jnp.zeros((*grid, 1), motion.dtype)
+    tables = {"motion": motion.reshape(-1)}
+    found = gather_samples(stages, 0, nothing, {"nothing": nothing}, tables, backend)
+    number, farthest = found[..., 0].astype(jnp.int32), found[..., 1]
+    row, column = (lax.broadcasted_iota(jnp.int32, grid, axis) * size for axis in (0, 1))
+    pixel = (row + number // size) * width + column + number % size
+    return pixel, farthest.reshape(-1)
+
+
+def _compare_pixels(image, radius, local, tables, _):
+    """Number of the fastest pixel of a tile, row by row, and the greatest log depth."""
+    (height, width), size, grid = image, fine_tile(radius), local["nothing"].shape
+    rows, columns = (
+        [jnp.minimum(first * size + k, length - 1) for k in range(size)]
+        for first, length in (
+            (lax.broadcasted_iota(jnp.int32, grid, 0), height),
+            (lax.broadcasted_iota(jnp.int32, grid, 1), width),
+        )
     )
+    fastest = jnp.full_like(local["nothing"], -1)
+    number, farthest = jnp.zeros_like(fastest), jnp.full_like(fastest, -jnp.inf)
+    # Beyond the edge the last pixels come again, which changes nothing.
+    for k, (row, column) in enumerate(itertools.product(rows, columns)):
+        x, y, depth = read_row(tables["motion"], row * width + column, 4)[:3]
+        speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
+        number = jnp.where(speed > fastest, float(k), number)
+        fastest = jnp.where(speed > fastest, speed, fastest)
+        farthest = jnp.where(depth > farthest, depth, farthest)
+    return [number, farthest]
 
 
 def _levels(size: int, count: int) -> int:
@@ -142,17 +173,15 @@ class _Lines:
     def __init__(
         self,
         pixel: Int[Array, " tiles"],
-        motion: Float[Array, "height width components"],
-        speed: Float[Array, "height width"],
+        motion: Float[Array, "height width 4"],
         grid: tuple[int, int],
         radius: int,
     ) -> None:
         self._rows, self._columns = grid
         self._size, self._radius, self._count = fine_tile(radius), radius, len(pixel)
-        width = speed.shape[1]
+        width = motion.shape[1]
         x, y, depth = motion.reshape(-1, motion.shape[-1])[pixel, :3].T
-        # The speeds as they were clamped, equal to the bit: their ranks hang on no rounding.
-        clamped = speed.reshape(-1)[pixel]
+        clamped = _at_most(radius, safe_norm(x, y))
         self._levels = _levels(self._size, self._count)
         self._by_rank = _slowest_first(clamped, radius)
         ranks = jnp.arange(self._count, dtype=jnp.int32)
@@ -161,7 +190,7 @@ class _Lines:
         # not add a step, which would move all of them.
         steps = jnp.maximum(jnp.ceil(clamped / self._size - 1e-3), 1)
         half = self._size / 2 - _INSET
-        right, down = (jnp.asarray(side, speed.dtype) for side in ((-1, 1, -1, 1), (-1, -1, 1, 1)))
+        right, down = (jnp.asarray(side, x.dtype) for side in ((-1, 1, -1, 1), (-1, -1, 1, 1)))
 
         def at_corners(start, side):
             return (side[:, None] * half + (start + 0.5)).reshape(-1)

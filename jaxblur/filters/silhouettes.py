@@ -15,7 +15,7 @@ from ..gathers import gather_samples
 from ..native import Stages
 from ..sampling import channel, read_nearest, read_row
 from ..settings import Backend
-from ..weights import SPEED_FLOOR
+from ..weights import SPEED_FLOOR, finite_depth
 
 NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 
@@ -56,21 +56,22 @@ def _unmixed(vector, other, thin, coverage):
 
 
 def _jumps(size, local, tables):
-    """Whether there is a jump of depth beside the pixel; how far the neighbors are behind it."""
+    """Whether there is a jump of depth beside the pixel; which neighbors are apart, or behind."""
     near = [_neighbor(size, *offset) for offset in NEIGHBORS]
-    own = channel(local["motion"], 2)
-    depths = [read_nearest(tables["motion"], index * 3 + 2) for index in near]
-    behind = [(depth - own) * local["separation"] for depth in depths]
-    jumps = functools.reduce(jnp.logical_or, [jnp.abs(step) > 1 for step in behind])
-    return jumps, (near, behind)
+    step = jnp.exp(1 / local["separation"])
+    own = finite_depth(local["depth"])
+    farther, nearer = own * step, own / step
+    depths = [finite_depth(read_nearest(tables["depth"], index)) for index in near]
+    behind = [depth > farther for depth in depths]
+    apart = [far | (depth < nearer) for far, depth in zip(behind, depths, strict=True)]
+    return functools.reduce(jnp.logical_or, apart), (near, apart, behind)
 
 
 def _prepare(local, tables, found):
     """The motion that `purest_motion` finds."""
-    near, behind = found
+    near, other, behind = found
     motion = [channel(local["motion"], k) for k in range(3)]
     vectors = [read_row(tables["motion"], index, 3)[:2] for index in near]
-    other = [jnp.abs(step) > 1 for step in behind]
     count = jnp.maximum(_count(other, motion[0].dtype), 1)
     mean = [
         _sum([jnp.where(a, vector[axis], 0) for a, vector in zip(other, vectors, strict=True)])
@@ -88,13 +89,14 @@ def _prepare(local, tables, found):
         best = jnp.where(take, distance, best)
         taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
         number = jnp.where(take, 3.0 * down + right, number)
-    thin = _count([step > 1 for step in behind], motion[0].dtype) >= THIN
+    thin = _count(behind, motion[0].dtype) >= THIN
     velocity = _unmixed(taken, mean, thin, local["coverage"])
     return [*velocity, motion[2], number]
 
 
 def purest_motion(
     motion: Float[Array, "height width 3"],
+    depth: Float[Array, "height width"],
     separation: Float[Array, ""],
     coverage: Float[Array, ""],
     backend: Backend,
@@ -111,6 +113,7 @@ def purest_motion(
 
     Args:
         motion: velocity in pixels, x and y, and the natural logarithm of the depth.
+        depth: in scene units, +inf for sky.
         separation: per unit of log depth, > 0; 20 tells depths apart that differ by 5 percent.
         coverage: least share of a pixel that something one pixel wide covers, in (0, 1].
         backend: see `jaxblur.Settings`.
@@ -120,9 +123,11 @@ def purest_motion(
         taken from, see `taken_from`. The derivative is that of the motion taken.
     """
     height, width, _ = motion.shape
-    local = {"motion": motion, "separation": separation, "coverage": coverage}
+    local = {"motion": motion, "depth": depth[..., None]}
+    local |= {"separation": separation, "coverage": coverage}
+    tables = {"motion": motion.reshape(-1), "depth": depth.reshape(-1)}
     stages = Stages(functools.partial(_jumps, (height, width)), _prepare)
-    return gather_samples(stages, 0, motion, local, {"motion": motion.reshape(-1)}, backend)
+    return gather_samples(stages, 0, motion, local, tables, backend)
 
 
 def taken_from(number: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], ...]:

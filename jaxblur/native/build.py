@@ -112,9 +112,17 @@ def _compile(source: str, library: pathlib.Path) -> None:
 
 def _forget_old(folder: pathlib.Path) -> None:
     """Remove what is beyond the kernels that are kept; a process that has loaded one keeps it."""
-    kernels = sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime, reverse=True)
+    kernels = sorted(folder.glob("*.so"), key=_made, reverse=True)
     for path in kernels[MOST_KERNELS:]:
         path.unlink(missing_ok=True)
+
+
+def _made(path: pathlib.Path) -> float:
+    """When a file was made; long ago if another process has just removed it."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0
 
 
 def register(source: str) -> str:

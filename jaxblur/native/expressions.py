@@ -30,9 +30,11 @@ class Read:
         done: whether its neighbor reads it.
     """
 
-    def __init__(self, table: str, base: str, distance: int, name: str) -> None:
+    def __init__(
+        self, table: str, base: str, distance: int, name: str, function: str = "read"
+    ) -> None:
         self._table, self._base, self._distance = table, base, distance
-        self.name, self.second, self.done = name, "", False
+        self._function, self.name, self.second, self.done = function, name, "", False
 
     def __str__(self) -> str:
         if self.done:
@@ -40,7 +42,7 @@ class Read:
         place = f"{self._table}, {self._base} + {self._distance}"
         if self.second:
             return f"Floats {self.name}, {self.second}; read({place}, {self.name}, {self.second});"
-        return f"const Floats {self.name} = read({place});"
+        return f"const Floats {self.name} = {self._function}({place});"
 
 
 def _is_flat(equation: Any) -> bool:
@@ -222,13 +224,17 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if table.dtype != "float32" or not index.wide:
             raise Unsupported(f"a table of type {table.dtype} or read at the same place by all")
-        base, distance, _ = index.base or (index.code, 0, 1)
-        return self._define_read(table.code, base, distance, index.level)
+        base, distance, factor = index.base or (index.code, 0, 1)
+        plane = factor == 1 and index.level == Level.PIXEL
+        function = "read_plane" if plane else "read"
+        return self._define_read(table.code, base, distance, index.level, function)
 
-    def _define_read(self, table: str, base: str, distance: int, level: Level) -> Value:
+    def _define_read(
+        self, table: str, base: str, distance: int, level: Level, function: str = "read"
+    ) -> Value:
         """A variable for what is read at a distance from an index."""
         statements = self._statements(level)
-        read = Read(table, base, distance, self._name())
+        read = Read(table, base, distance, self._name(), function)
         # The place where its neighbor stands is earlier: there both indices are known.
         first = self._reads.get((id(statements), table, base, distance - 1))
         if distance % 2 and first and not first.second:

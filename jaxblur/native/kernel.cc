@@ -52,15 +52,49 @@ static inline Ints lane_numbers() {
 static inline Floats to_floats(Ints a) { return __builtin_convertvector(a, Floats); }
 static inline Ints to_ints(Floats a) { return __builtin_convertvector(a, Ints); }
 
+/* Maximum and minimum that give the second value if there is a NaN. Compilers do not make one
+   instruction of a choice between vectors. */
+#if defined(__AVX512F__)
+static inline Floats larger(Floats a, Floats b) {
+  return (Floats)_mm512_max_ps((__m512)a, (__m512)b);
+}
+static inline Floats smaller(Floats a, Floats b) {
+  return (Floats)_mm512_min_ps((__m512)a, (__m512)b);
+}
+#elif defined(__AVX2__)
+static inline Floats larger(Floats a, Floats b) {
+  return (Floats)_mm256_max_ps((__m256)a, (__m256)b);
+}
+static inline Floats smaller(Floats a, Floats b) {
+  return (Floats)_mm256_min_ps((__m256)a, (__m256)b);
+}
+#else
+static inline Floats larger(Floats a, Floats b) { return a > b ? a : b; }
+static inline Floats smaller(Floats a, Floats b) { return a < b ? a : b; }
+#endif
+static inline float larger(float a, float b) { return a > b ? a : b; }
+static inline float smaller(float a, float b) { return a < b ? a : b; }
+
 /* Maximum and minimum that keep NaN. */
-static inline Floats max_float(Floats a, Floats b) { return a != a ? a : (a > b ? a : b); }
-static inline Floats min_float(Floats a, Floats b) { return a != a ? a : (a < b ? a : b); }
-static inline float max_float(float a, float b) { return a != a ? a : (a > b ? a : b); }
-static inline float min_float(float a, float b) { return a != a ? a : (a < b ? a : b); }
+template <typename Value>
+static inline Value max_float(Value a, Value b) { return a != a ? a : larger(a, b); }
+template <typename Value>
+static inline Value min_float(Value a, Value b) { return a != a ? a : smaller(a, b); }
 static inline Ints max_int(Ints a, Ints b) { return a > b ? a : b; }
 static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
 static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
+
+/* Whether a comparison holds in some lane. */
+static inline bool any(Ints a) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi32_mask((__m512i)a, (__m512i)a) != 0;
+#else
+  int32_t some = 0;
+  for (int k = 0; k < LANES; ++k) some |= a[k];
+  return some != 0;
+#endif
+}
 
 static inline int32_t largest(Ints a) {
   int32_t most = 0;
@@ -94,7 +128,7 @@ LANE_BY_LANE(tanhf)
    [sqrt(1/2), sqrt(2)), that of m by a polynomial in m - 1. */
 static inline Floats logf(Floats a) {
   const Ints usual = (a >= 0x1p-126f) & (a < INFINITY);
-  if (largest(~usual & 1)) {
+  if (any(~usual)) {
     Floats result;
     for (int k = 0; k < LANES; ++k) result[k] = ::logf(a[k]);
     return result;
@@ -167,6 +201,15 @@ static inline void read(const float* table, Ints index, Floats& first, Floats& s
   second = read(table, index + 1);
 }
 #endif
+
+/* Lanes often read neighbors in memory, those of a plane at the same offset: one load then. */
+static inline Floats read_plane(const float* table, Ints index) {
+  const int32_t first = index[0];
+  if (any(index != first + lane_numbers())) return read(table, index);
+  Floats result;
+  memcpy(&result, table + first, sizeof result);
+  return result;
+}
 
 /* Lanes beyond the end of a row hold the row's last value; they are never written back. */
 template <typename Wide, typename Element>
@@ -261,7 +304,7 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
     return;
   }
-  if (KEPT == RESULTS && !largest(-moving)) {
+  if (KEPT == RESULTS && !any(moving)) {
     memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
     return;
   }
@@ -303,7 +346,7 @@ static void sum_row(const Job* job, float* const* tables, const int row, const i
     (void)x, (void)y, (void)own;
     Floats results[RESULTS + 1] = {};
 @MOVING@
-    if (largest(-moving)) {
+    if (any(moving)) {
       Floats sums[SUMS + 1] = {};
       int32_t last = COUNT;
 @PIXEL@

@@ -106,24 +106,24 @@ def _function(name: str) -> Callable[..., str]:
     return lambda _, *values: f"{name}({', '.join(value.code for value in values)})"
 
 
-def _extreme(name: str, symbol: str) -> Callable[..., str]:
-    """Maximum or minimum; with a literal first one comparison keeps a NaN."""
+def _extreme(name: str, ordered: str) -> Callable[..., str]:
+    """Maximum or minimum; the second form keeps a NaN where a literal stands first."""
 
     def write(_, a: Value, b: Value) -> str:
         if a.dtype != "float32":
             return f"{name}_int({a.code}, {b.code})"
         if a.ordered:
-            return f"({a.code} {symbol} {b.code} ? {a.code} : {b.code})"
+            return f"{ordered}({a.code}, {b.code})"
         if b.ordered:
-            return f"({b.code} {symbol} {a.code} ? {b.code} : {a.code})"
+            return f"{ordered}({b.code}, {a.code})"
         return f"{name}_float({a.code}, {b.code})"
 
     return write
 
 
 def _clamp(parameters: Any, low: Value, value: Value, high: Value) -> str:
-    raised = dataclasses.replace(value, code=_extreme("max", ">")(parameters, low, value))
-    return _extreme("min", "<")(parameters, raised, high)
+    raised = dataclasses.replace(value, code=_extreme("max", "larger")(parameters, low, value))
+    return _extreme("min", "smaller")(parameters, raised, high)
 
 
 def widened(value: Value, level: Level) -> Value:
@@ -206,8 +206,8 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "log": _function("logf"),
     "log1p": _function("log1pf"),
     "lt": _operator("<"),
-    "max": _extreme("max", ">"),
-    "min": _extreme("min", "<"),
+    "max": _extreme("max", "larger"),
+    "min": _extreme("min", "smaller"),
     "mul": _operator("*"),
     "ne": _operator("!="),
     "neg": lambda _, a: f"(-{a.code})",
