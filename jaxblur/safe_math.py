@@ -67,5 +67,5 @@ def safe_normalize(
         Components of unit vectors, or zeros.
     """
     unit_x, unit_y, _, is_zero = _scaled(x, y)
-    norm = jnp.sqrt(unit_x * unit_x + unit_y * unit_y)
-    return jnp.where(is_zero, 0, unit_x / norm), jnp.where(is_zero, 0, unit_y / norm)
+    inverse = 1 / jnp.sqrt(unit_x * unit_x + unit_y * unit_y)
+    return jnp.where(is_zero, 0, unit_x * inverse), jnp.where(is_zero, 0, unit_y * inverse)

@@ -181,11 +181,11 @@ def _prepare_pixel(settings, local, tables, found):
     """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
     dominant, reach = found
     motion = {name: channel(local["motion"], k) for k, name in enumerate(MOTION)}
-    velocity, speed = (motion["x"], motion["y"]), 1 / motion["inverse_speed"]
-    along, center = two_directions(velocity, speed, dominant, local["gamma"])
+    velocity, inverse_speed = (motion["x"], motion["y"]), motion["inverse_speed"]
+    along, center = two_directions(velocity, inverse_speed, dominant, local["gamma"])
     kept = ("sharpness", "kappa", "share")
     needed = {name: local[name] for name in kept if name in local} | {
-        "inverse_speed": motion["inverse_speed"],
+        "inverse_speed": inverse_speed,
         "depth": motion["depth"],
         "along": along,
         "center": center,
@@ -200,11 +200,11 @@ def _finish_pixel(sums, prepared, local):
     *colors, weight, count = sums
     center_weight = count * prepared["inverse_speed"] / prepared["kappa"]
     sharp = (prepared["reach"] <= SPEED_FLOOR) | (count == 0)
-    total = jnp.where(sharp, 1, weight + center_weight)
-    share = center_weight / total
+    inverse = 1 / jnp.where(sharp, 1, weight + center_weight)
+    share = center_weight * inverse
     own = [channel(local["color"], k) for k in range(len(colors))]
     return tuple(
-        jnp.where(sharp, mine, color / total + share * mine)
+        jnp.where(sharp, mine, color * inverse + share * mine)
         for color, mine in zip(colors, own, strict=True)
     )
 

@@ -214,10 +214,10 @@ def _turn(size, motion, local, tables):
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - own_depth) * local["surface_sharpness"]
         alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)
-        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), alike.astype(x.dtype)
+        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), alike
 
     ahead, back = change(0.5), change(-0.5)
-    scale = 2 / jnp.maximum(ahead[2] + back[2], 1)
+    scale = jnp.where(ahead[2] & back[2], 1, 2).astype(x.dtype)
     return scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])
 
 
@@ -226,7 +226,7 @@ def _others(x, y, velocities, local):
     others = []
     for other_x, other_y in (velocities[:2], velocities[2:]):
         apart = jnp.square(other_x - x) + jnp.square(other_y - y)
-        differs = jnp.clip(2 * apart / jnp.square(local["distinct"]) - 1, 0, 1)
+        differs = jnp.clip(apart * (2 / jnp.square(local["distinct"])) - 1, 0, 1)
         exists = (other_x != 0) | (other_y != 0)
         differs = jnp.where(exists, differs, 0)
         others.append((x + differs * (other_x - x), y + differs * (other_y - y), 1 - differs))
@@ -256,7 +256,8 @@ def _is_moving(settings, local, tables):
     tile = own_tile(local["motion"].shape, fine_tile(settings.radius))
     velocities = read_row(tables["others"], tile, 4)
     reached = functools.reduce(jnp.logical_or, [part != 0 for part in velocities])
-    return reached | (safe_norm(*motion[:2]) > SPEED_FLOOR), (motion, velocities)
+    squared = jnp.square(motion[0]) + jnp.square(motion[1])
+    return reached | (squared > SPEED_FLOOR**2), (motion, velocities)
 
 
 def _path_slices(squared, others, settings):
@@ -295,9 +296,9 @@ def _finish(sums, prepared, local):
     """The mean over the slices, and the color itself where nothing moves or nothing is seen."""
     *colors, weight = sums
     blurs = prepared["moving"] & (weight > SMALLEST_WEIGHT)
-    weight = jnp.where(blurs, weight, 1)
+    inverse = 1 / jnp.where(blurs, weight, 1)
     return tuple(
-        jnp.where(blurs, color / weight, channel(local["color"], k))
+        jnp.where(blurs, color * inverse, channel(local["color"], k))
         for k, color in enumerate(colors)
     )
 

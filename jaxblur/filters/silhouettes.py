@@ -88,7 +88,7 @@ def _prepare(local, tables, found):
         take = (distance > best) & ~apart
         best = jnp.where(take, distance, best)
         taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
-        number = jnp.where(take, 3.0 * down + right, number)
+        number = jnp.where(take, 4.0 * down + right, number)
     thin = _count(behind, motion[0].dtype) >= THIN
     velocity = _unmixed(taken, mean, thin, local["coverage"])
     return [*velocity, motion[2], number]
@@ -134,10 +134,10 @@ def taken_from(number: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], 
     """Offset of the pixel that a motion was taken from.
 
     Args:
-        number: as `purest_motion` returns it, three times the rows and the columns to it.
+        number: as `purest_motion` returns it, four times the rows and the columns to it.
 
     Returns:
         Whole pixels to the right and downward, -1 to 1 each.
     """
-    down = jnp.floor(number / 3 + 0.5)
-    return number - 3 * down, down
+    down = jnp.floor(number / 4 + 0.5)
+    return number - 4 * down, down

@@ -13,6 +13,7 @@ from ..safe_math import safe_norm
 from ..sampling import tap_position
 from ..settings import Settings
 from ..tiles import clamp_speed, sample_tiles, tile_variance
+from ..weights import floored_speed
 from .guertin2014 import GuertinParameters, prepare_frame
 from .two_directions import follows_center, tile_choices, two_directions
 
@@ -88,8 +89,9 @@ def _taps_at(
     indices, chances = tile_choices((height, width), jnp.asarray(parameters.tau), settings, noise)
     dominant = tiles.reshape(-1, 2)[indices[:, row, column]]
     own = (velocity[row, column, 0], velocity[row, column, 1])
+    inverse_speed = 1 / floored_speed(speed[row, column])
     along, center = jax.vmap(
-        lambda vector: two_directions(own, speed[row, column], tuple(vector), parameters.gamma)
+        lambda vector: two_directions(own, inverse_speed, tuple(vector), parameters.gamma)
     )(dominant)
     share = None
     if settings.split == "variance":

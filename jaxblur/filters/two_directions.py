@@ -37,7 +37,10 @@ def tile_choices(
 
 
 def two_directions(
-    velocity: Vector, speed: Float[Array, "*a"], dominant: Vector, gamma: float | Float[Array, ""]
+    velocity: Vector,
+    inverse_speed: Float[Array, "*a"],
+    dominant: Vector,
+    gamma: float | Float[Array, ""],
 ) -> tuple[Vector, Vector]:
     """The two unit directions (pass 6): along the dominant velocity, and the center direction.
 
@@ -48,7 +51,7 @@ def two_directions(
 
     Args:
         velocity: x and y of the pixel's own velocity, pixels.
-        speed: its norm, pixels.
+        inverse_speed: reciprocal of its floored norm, 1 / pixels.
         dominant: x and y of the dominant velocity of the neighborhood, pixels.
         gamma: pixels of speed over which the center direction turns, > 0.
 
@@ -59,11 +62,15 @@ def two_directions(
     # Compared before normalizing: where v is the dominant velocity the two products are equal to
     # the bit, and the side does not hang on rounding.
     side = jnp.where(dominant[0] * velocity[1] < dominant[1] * velocity[0], -1, 1)
-    own_share = jnp.clip((speed - SPEED_FLOOR) / gamma, 0, 1)
-    own_x, own_y = safe_normalize(*velocity)
+    # Below the floor the share is 0, so that a vector that is too short there does no harm.
+    own_share = jnp.clip((1 / inverse_speed - SPEED_FLOOR) / gamma, 0, 1)
+    own_x, own_y = (part * inverse_speed for part in velocity)
     center_x = own_share * own_x - (1 - own_share) * side * along_y
     center_y = own_share * own_y + (1 - own_share) * side * along_x
-    return (along_x, along_y), safe_normalize(center_x, center_y)
+    # Two unit vectors on one side: their mix is no shorter than 0.7, or 0 where nothing moves.
+    squared = jnp.square(center_x) + jnp.square(center_y)
+    inverse = 1 / jnp.sqrt(jnp.where(squared == 0, 1, squared))
+    return (along_x, along_y), (center_x * inverse, center_y * inverse)
 
 
 def follows_center(
