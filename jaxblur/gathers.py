@@ -132,7 +132,7 @@ def _gather(plan: Plan, stages: Stages, kept: jax.Array, leaves: list[jax.Array]
     )
 
 
-def _select(moving: jax.Array, results: jax.Array, kept: jax.Array) -> jax.Array:
+def _select(moving: jax.Array | bool, results: jax.Array, kept: jax.Array) -> jax.Array:
     """Results where something moves; elsewhere what is kept, and 0 beyond its channels."""
     missing = results.shape[-1] - kept.shape[-1]
     kept = jnp.pad(kept, ((0, 0), (0, 0), (0, missing))) if missing else kept
@@ -146,7 +146,11 @@ def _by_stages(
     local, tables = plan.operands(leaves)
     if stages.sample is no_samples:
         moving, found = stages.moving(local, tables)
-        return moving, jnp.concatenate(stages.prepare(local, tables, found), axis=-1)
+        results = jnp.concatenate(stages.prepare(local, tables, found), axis=-1)
+        if stages.rest is None:
+            return moving, results
+        rest = jnp.concatenate(stages.rest(local, tables, found), axis=-1)
+        return jnp.ones_like(moving), jnp.where(moving, results, rest)
 
     # Reverse mode computes these stages once more. Keeping their intermediate planes costs more:
     # dozens of images.
@@ -172,7 +176,7 @@ def _gather_jvp(plan, stages, primals, tangents):
     directions = [tangents[k] for k in active]
     if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
         values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
-        moving, _ = stages.moving(*plan.operands(leaves))
+        moving = True if stages.rest else stages.moving(*plan.operands(leaves))[0]
     else:
 
         def results(values):
@@ -211,21 +215,27 @@ def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
 def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
     """Stages that carry the derivative with respect to each active scalar along."""
 
-    def prepare(local, tables, found):
+    def carried(stage, local, tables, found):
         leaves = jax.tree.leaves((local, tables))
 
         def of_scalar(position, value):
             local, tables = plan.operands(replaced(leaves, [position], [value]))
-            return stages.prepare(local, tables, stages.moving(local, tables)[1])
+            return stage(local, tables, stages.moving(local, tables)[1])
 
         changes = [
             jax.jvp(functools.partial(of_scalar, k), (leaves[k],), (jnp.ones_like(leaves[k]),))[1]
             for k in active
         ]
-        return stages.prepare(local, tables, found), changes
+        return stage(local, tables, found), changes
+
+    def planes(stage):
+        return lambda *operands: jax.tree.leaves(carried(stage, *operands))
 
     if stages.sample is no_samples:
-        return Stages(stages.moving, lambda *operands: jax.tree.leaves(prepare(*operands)))
+        rest = None if stages.rest is None else planes(stages.rest)
+        return Stages(stages.moving, planes(stages.prepare), rest=rest)
+
+    prepare = functools.partial(carried, stages.prepare)
 
     def sample(index, prepared, tables):
         value, changes = prepared

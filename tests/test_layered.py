@@ -146,12 +146,11 @@ def test_what_turns_is_blurred_along_its_arc():
 
 
 def pure_velocity(velocity, log_depth, coverage):
-    motion = np.concatenate([velocity, log_depth[..., None]], axis=-1)
-    depth = jnp.exp(jnp.asarray(log_depth, jnp.float32))
-    pure = purest_motion(
-        jnp.asarray(motion, jnp.float32), depth, jnp.float32(20), jnp.float32(coverage), "auto"
-    )
-    np.testing.assert_array_equal(pure[..., 2], motion[..., 2].astype(np.float32))
+    color = np.zeros((*log_depth.shape, 3), np.float32)
+    depth = np.exp(log_depth).astype(np.float32)
+    frame = jaxblur.Frame(*map(jnp.asarray, (color, depth, np.float32(velocity))))
+    pure = purest_motion(frame, 160, jnp.float32(20), jnp.float32(coverage), "auto")
+    np.testing.assert_allclose(pure[..., 2], log_depth, atol=1e-6)
     return np.moveaxis(np.asarray(pure[..., :2]), -1, 0)
 
 

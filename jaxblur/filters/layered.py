@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import everywhere, gather_samples
+from ..gathers import gather_samples
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -31,7 +31,7 @@ from ..sampling import (
 )
 from ..settings import Settings
 from ..tiles import own_tile, shortening
-from ..weights import SPEED_FLOOR, finite_depth
+from ..weights import SPEED_FLOOR
 from .masking import honoring_mask
 from .reaching import fine_tile, reaching_pixels
 from .silhouettes import purest_motion, taken_from
@@ -156,30 +156,6 @@ def _slice(size, settings, count, index, local, tables):
         for channel in zip(*colors, strict=True)
     ]
     return (*mixed, weight)
-
-
-def _own_motion(radius, local, *_):
-    """Velocity within the radius x, y, and log depth."""
-    if "path" in local:
-        opening_x, opening_y, closing_x, closing_y = (channel(local["path"], k) for k in range(4))
-        x, y = (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
-    else:
-        x, y = (channel(local["velocity"], k) for k in range(2))
-    shorter = shortening(safe_norm(x, y), radius)
-    return [x * shorter, y * shorter, jnp.log(finite_depth(local["depth"]))]
-
-
-def _motion(frame, parameters, settings):
-    """The motions of `purest_motion`, (H, W, 4)."""
-    local = {"velocity": frame.velocity, "depth": frame.depth[..., None]}
-    if frame.path is not None:
-        local["path"] = frame.path.reshape(*frame.depth.shape, 4)
-    prepare = functools.partial(_own_motion, settings.radius)
-    motion = gather_samples(everywhere(prepare), 0, frame.velocity, local, {}, settings.backend)
-    return purest_motion(
-        *(motion, frame.depth, parameters.surface_sharpness, parameters.thin_coverage),
-        settings.backend,
-    )
 
 
 def _half_acceleration(size, radius, taken, tables):
@@ -342,7 +318,10 @@ def layered(
     shape = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, *shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    motion = _motion(frame, parameters, settings)
+    motion = purest_motion(
+        *(frame, settings.radius, parameters.surface_sharpness, parameters.thin_coverage),
+        settings.backend,
+    )
     local = vars(parameters) | {
         "motion": motion,
         "color": frame.color,

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .expressions import Read, Writer
-from .operations import Level, Unsupported, Value
+from .operations import Level, Unsupported, Value, widened
 
 TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
 _SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
@@ -36,6 +36,8 @@ class Stages(NamedTuple):
             pixel that moves. `sampling.channel` takes a local image apart.
         sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms; with
             `no_samples` what is prepared, a sequence of planes, is the result.
+        rest: from (local, tables, found) to the result, a sequence of (H, W, 1) planes, of the
+            pixels that do not move; None where they keep what they have. With `no_samples` only.
         finish: from (sums (H, W, 1), prepared, local) to a tuple of (H, W, 1) results.
         limit: from prepared to a (H, W, 1) plane: samples from that number on have terms of 0, so
             that they may be left out; None where all count.
@@ -46,6 +48,7 @@ class Stages(NamedTuple):
     sample: Callable[..., Any] = no_samples
     finish: Callable[..., Any] = lambda sums, *_: sums
     limit: Callable[..., Any] | None = None
+    rest: Callable[..., Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +82,7 @@ class _Program:
         self.leaves = [value for _, value in pairs]
         self._moving: list[str | Read] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
-        self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept, "SUMS": 0}
+        self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept, "SUMS": 0, "REST": 0}
         self._rows_of_three: list[int] = []
 
     def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
@@ -91,10 +94,18 @@ class _Program:
         closed, results = jax.make_jaxpr(function, return_shape=True)(*shapes)
         return self.writer.walk(closed.jaxpr, closed.consts, inputs), results
 
-    def split(self, moving: Value) -> None:
-        """What was written so far tells which pixels move; nothing else is done for the others."""
+    def split(self, moving: Value, rest: Sequence[Value] = ()) -> None:
+        """What was written so far tells which pixels move; nothing else is done for the others.
+
+        Args:
+            moving: the pixels that do.
+            rest: results of the others, none where they keep what they have.
+        """
         code = moving.code if moving.wide else f"wide({moving.code})"
         self._moving = [*self.writer.statements[Level.PIXEL], f"const Ints moving = {code};"]
+        for k, value in enumerate(rest):
+            self._moving.append(f"results[{k}] = {widened(value, Level.PIXEL).code};")
+        self._numbers["REST"] = len(rest)
         self.writer.statements[Level.PIXEL] = []
 
     def stop_at(self, limit: Callable[..., Any] | None, shapes: Any, prepared: Any) -> None:
@@ -134,6 +145,7 @@ class _Program:
             if result.dtype != "float32":
                 raise Unsupported("results of another type than float32")
             code = result.code if result.wide else f"wide({result.code})"
+            code = f"moving ? {code} : results[{k}]" if self._numbers["REST"] else code
             self.writer.last_statements.append(f"results[{k}] = {code};")
         statements = self.writer.statements
         parts = {
@@ -193,10 +205,10 @@ def emit_gather(
     (moving, *found), (_, found_shapes) = program.write(
         stages.moving, (shapes, table_shapes), program.leaves
     )
-    program.split(moving)
-    prepared, prepared_shapes = program.write(
-        stages.prepare, (shapes, table_shapes, found_shapes), [*program.leaves, *found]
-    )
+    found_operands = (shapes, table_shapes, found_shapes), [*program.leaves, *found]
+    rest = [] if stages.rest is None else program.write(stages.rest, *found_operands)[0]
+    program.split(moving, rest)
+    prepared, prepared_shapes = program.write(stages.prepare, *found_operands)
     results = prepared
     if stages.sample is not no_samples:
         program.stop_at(stages.limit, prepared_shapes, prepared)

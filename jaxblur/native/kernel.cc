@@ -21,6 +21,7 @@ enum {
   SUMS = @SUMS@,
   RESULTS = @RESULTS@, /* of a pixel */
   KEPT = @KEPT@, /* of them that pixels which do not move take from the last argument */
+  REST = @REST@, /* 0, or all of them if such pixels have results of their own */
   ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
   TABLES = @TABLES@, /* results that taps add to anywhere */
 #ifdef __AVX512F__
@@ -356,7 +357,8 @@ static void sum_row(const Job* job, float* const* tables, const int row, const i
       }
 @FINISH@
     }
-    store_results(job, pixel, moving, results, lanes, first + LANES + 4 <= until);
+    const Ints computed = REST ? wide(true) : moving;
+    store_results(job, pixel, computed, results, lanes, first + LANES + 4 <= until);
   }
 }
 
