@@ -124,6 +124,21 @@ def test_derivatives_equal_those_of_xla(fetch):
     assert_trees_close(ours, theirs, 2e-5)
 
 
+def test_derivatives_equal_those_of_xla_where_depths_are_equal():
+    frame = make_frame((12, 40))
+    depth, velocity = frame.depth.at[:, 20].set(2), frame.velocity.at[:, 20].set(1)
+
+    def of_depth(blur):
+        def loss(depth):
+            blurred = blur(jaxblur.Frame(frame.color, depth, velocity), jaxblur.LayeredParameters())
+            return jnp.sum((blurred - 0.5) ** 2)
+
+        return jax.grad(loss)(depth)
+
+    ours, theirs = map(of_depth, runs("layered", fetch="bilinear"))
+    assert_trees_close(ours, theirs, 2e-5)
+
+
 def test_second_derivatives_and_batches_equal_those_of_xla():
     frame, parameters = make_frame((4, 18)), jaxblur.GuertinParameters()
     colors = jnp.stack([make_frame((4, 18), seed).color for seed in (2, 3)])

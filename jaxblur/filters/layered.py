@@ -11,6 +11,7 @@ The result is the mean over the slices, so that an object covers a pixel for as 
 
 import dataclasses
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -111,19 +112,14 @@ def _guess(size, border, interpolates, time, way, tables, local):
     return texels, lands, depth, color
 
 
-def _in_front(nearer, farther):
-    """How surely the first is in front of the second, in [0, 1], by log depth times sharpness."""
-    return jnp.clip(farther - nearer, 0, 1)
-
-
-def _visible(lands, depths):
+def _visible(lands, depths, sharpness):
     """Share of each landed guess in what is seen, and the share that none of them fills."""
-    shares = []
-    for k, (own, depth) in enumerate(zip(lands, depths, strict=True)):
-        for j, (other, other_depth) in enumerate(zip(lands, depths, strict=True)):
-            if j != k:
-                own = own * (1 - other * _in_front(other_depth, depth))
-        shares.append(own)
+    shares = list(lands)
+    for j, k in itertools.combinations(range(len(lands)), 2):
+        # How surely j is in front of k, or k of j. Equal depths differ by 0, whatever is rounded.
+        behind = sharpness * (depths[k] - depths[j])
+        shares[k] = shares[k] * (1 - lands[j] * jnp.clip(behind, 0, 1))
+        shares[j] = shares[j] * (1 - lands[k] * jnp.clip(-behind, 0, 1))
     empty = functools.reduce(jnp.multiply, [1 - landed for landed in lands])
     total = functools.reduce(jnp.add, shares)
     filled = (1 - empty) / jnp.maximum(total, 1e-6)
@@ -142,9 +138,8 @@ def _slice(size, settings, count, index, local, tables):
     ]
     texels, lands, depths, colors = zip(*guesses, strict=True)
     sharpness = local["front_sharpness"]
-    depths = [sharpness * depth for depth in depths]
-    shares, empty = _visible(lands, depths)
-    behind = _in_front(sharpness * local["depth"], depths[0])
+    shares, empty = _visible(lands, depths, sharpness)
+    behind = jnp.clip(sharpness * (depths[0] - local["depth"]), 0, 1)
     shares[0] = shares[0] + empty * jnp.where(texels[0].counts, behind, 0)
     if "count" in local:
         shares = [jnp.where(index < count, share, 0) for share in shares]
