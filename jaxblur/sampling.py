@@ -146,7 +146,10 @@ def read_nearest(
 
 
 def read_row(
-    table: Float[Array, " elements"], index: Int[Array, "*shape"], width: int
+    table: Float[Array, " elements"],
+    index: Int[Array, "*shape"],
+    width: int,
+    count: int | None = None,
 ) -> tuple[Float[Array, "*shape"], ...]:
     """Read rows of a flat table; neighbors in memory come in one piece from the cache.
 
@@ -154,12 +157,13 @@ def read_row(
         table: (rows * width,) values, row by row.
         index: number of the row, known to lie inside.
         width: elements of a row.
+        count: how many of them, the first ones, are wanted; all if None.
 
     Returns:
-        One array for each element of the row, of the index's shape.
+        One array for each element that is wanted, of the index's shape.
     """
-    start = index * width
-    return tuple(read_nearest(table, start + k if k else start) for k in range(width))
+    start, count = index * width, width if count is None else count
+    return tuple(read_nearest(table, start + k if k else start) for k in range(count))
 
 
 def channel(image: Float[Array, "height width channels"], k: int) -> Float[Array, "height width 1"]:

@@ -96,7 +96,7 @@ def _guess(size, border, interpolates, time, way, tables, local):
     (x, y), (turn_x, turn_y), (bend_x, bend_y), own = way
     squared = time * time
     texels = read_position(squared * bend_x - time * x, squared * bend_y - time * y, size, border)
-    read_x, read_y, depth, _ = read_row(tables["motion"], texels.index, 4)
+    read_x, read_y, depth = read_row(tables["motion"], texels.index, 4, 3)
     apart_x, apart_y = read_x - x + time * turn_x, read_y - y + time * turn_y
     apart = jnp.square(apart_x) + jnp.square(apart_y)
     lands = jnp.clip(1.5 - squared * apart * local["inverse_tolerance"], 0, 1)
@@ -181,7 +181,7 @@ def _turn(size, motion, local, tables):
 
     def change(side):
         index = read_position(side * x, side * y, size, "clamp").index
-        near_x, near_y, depth = read_row(tables["motion"], index, 4)[:3]
+        near_x, near_y, depth = read_row(tables["motion"], index, 4, 3)
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - own_depth) * local["surface_sharpness"]
         alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)

@@ -129,7 +129,7 @@ def _compare_pixels(image, radius, local, tables, _):
     number, farthest = jnp.zeros_like(fastest), jnp.full_like(fastest, -jnp.inf)
     # Beyond the edge the last pixels come again, which changes nothing.
     for k, (row, column) in enumerate(itertools.product(rows, columns)):
-        x, y, depth = read_row(tables["motion"], row * width + column, 4)[:3]
+        x, y, depth = read_row(tables["motion"], row * width + column, 4, 3)
         speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
         number = jnp.where(speed > fastest, float(k), number)
         fastest = jnp.where(speed > fastest, speed, fastest)

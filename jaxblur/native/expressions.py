@@ -39,7 +39,7 @@ class Read:
     def __str__(self) -> str:
         if self.done:
             return ""
-        place = f"{self._table}, {self._base} + {self._distance}"
+        place = f"{self._table} + {self._distance}, {self._base}"
         if self.second:
             return f"Floats {self.name}, {self.second}; read({place}, {self.name}, {self.second});"
         return f"const Floats {self.name} = {self._function}({place});"
