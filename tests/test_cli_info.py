@@ -174,7 +174,7 @@ def test_vectors_compares_the_channels_that_both_frames_have(tmp_path):
 
 def test_vectors_says_when_frames_do_not_belong_together():
     outcome = run("vectors", CAR, "--next", CUBE_NEXT)
-    assert outcome.status == 0 and "inconclusive" in outcome.out
+    assert outcome.status == 1 and "inconclusive" in outcome.out
 
 
 def test_vectors_refuses_pairs_that_do_not_fit(tmp_path):

@@ -85,6 +85,14 @@ def test_only_the_frames_asked_for(shot):
     assert written(path) == all_names((1001, 1003, 1005))
 
 
+def test_a_gap_is_reported_and_the_rest_done(shot):
+    path, command = shot
+    (path / "in.1003.exr").unlink()
+    outcome = run(*command)
+    assert outcome.status == 0 and "there is no frame 1003." in outcome.err
+    assert written(path) == all_names((1001, 1002, 1004, 1005))
+
+
 def test_it_goes_on_where_it_stopped(shot):
     path, command = shot
     assert run(*command, "--frames", "1001,1004").status == 0

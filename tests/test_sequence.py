@@ -15,6 +15,7 @@ from jaxblur.sequence import (
     digest,
     find_cuts,
     has_frame_number,
+    missing_frames,
     parse_frames,
     parse_names,
     plan_jobs,
@@ -65,6 +66,14 @@ def test_a_file_of_that_very_name_is_no_sequence(tmp_path):
 def test_two_places_for_the_number_are_refused():
     with pytest.raises(ValueError, match="2 places for the frame number"):
         parse_names("a.##.####.exr")
+
+
+@pytest.mark.parametrize(
+    ("frames", "missing"),
+    [([5], ""), ([-1, 0, 1], ""), ([1, 3, 5], ""), ([1, 2, 4, 5, 9], "3,6-8"), ([2, 4, 8], "6")],
+)
+def test_missing_frames_are_those_between_the_others(frames, missing):
+    assert missing_frames(frames) == missing
 
 
 def test_frames_on_disk_are_those_of_this_padding(tmp_path):

@@ -244,7 +244,10 @@ def held_out(frames: Sequence[pathlib.Path], patterns: Sequence[str]) -> list[in
         matching = {k for k, frame in enumerate(frames) if frame.match(pattern)}
         if not matching:
             hint = did_you_mean(pattern, map(str, frames))
-            raise CommandError(f"--holdout: no frame matches {pattern!r}{hint}.")
+            raise CommandError(
+                f"--holdout: no frame matches {pattern!r}{hint}; patterns are matched from the end "
+                "of the path, and * stays within a folder."
+            )
         found |= matching
     return sorted(found)
 

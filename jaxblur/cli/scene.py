@@ -88,9 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.overwrite,
     )
     height, width = arguments.size
-    LOG.info("%s at %dx%d; the first frame compiles the scene", arguments.name, width, height)
     start_jax(not arguments.no_compile_cache)
     scene = make_scene(arguments.name)
+    LOG.info("%s at %dx%d; the first frame compiles the scene", arguments.name, width, height)
     arguments.output.mkdir(parents=True, exist_ok=True)
     for frame in track(arguments.frames, arguments.name):
         started = time.perf_counter()

@@ -349,9 +349,14 @@ def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _frames_on_disk(names: Any) -> list[int]:
+    from jaxblur.sequence import missing_frames
+
     frames = names.frames_on_disk()
     if not frames:
         raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
+    missing = missing_frames(frames)
+    if missing:
+        LOG.warning("%s: there is no frame %s.", names.pattern, missing)
     return frames
 
 

@@ -26,6 +26,7 @@ def add_parser(commands: Any) -> None:
         "Rank sign, unit and span of motion vectors by warping the next frame back.",
         run,
     )
+    parser.epilog = "Exit status 1: inconclusive, no candidate brings the frames together."
     parser.add_argument("file", type=file_path, help="frame with motion vectors")
     parser.add_argument(
         "--next", type=file_path, required=True, metavar="FILE", help="the following frame"
@@ -57,11 +58,12 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Rank the conventions of one pair of frames; see `add_parser`."""
     ranking = _rank(arguments)
+    conclusive = ranking.candidates[0].error <= EXPLAINED * ranking.still_error
     if arguments.json:
         print(json.dumps(dataclasses.asdict(ranking), indent=2))
     else:
-        _print_ranking(ranking, arguments.top)
-    return 0
+        _print_ranking(ranking, arguments.top, conclusive)
+    return 0 if conclusive else 1
 
 
 def _rank(arguments: argparse.Namespace) -> Any:
@@ -104,9 +106,8 @@ def _size(image: Any) -> str:
     return f"{width}x{height} pixels and {channels} channels"
 
 
-def _print_ranking(ranking: Any, count: int) -> None:
+def _print_ranking(ranking: Any, count: int, conclusive: bool) -> None:
     best = ranking.candidates[0]
-    still = ranking.still_error
     print_line(f"{100 * ranking.moving_share:.1f} % of the pixels move")
     print_table(
         (">", "channels", ">x", ">y", "unit", ">offset", ">span", ">error", "presets"),
@@ -125,14 +126,14 @@ def _print_ranking(ranking: Any, count: int) -> None:
             for index, candidate in enumerate(ranking.candidates[:count], start=1)
         ],
     )
-    print_line(f"error if nothing moved: {still:.5f}")
-    if best.error > EXPLAINED * still:
-        print_line(
-            "inconclusive: no candidate brings the frames together; are they consecutive, and are "
-            "these the vectors of the first?"
-        )
-    else:
+    print_line(f"error if nothing moved: {ranking.still_error:.5f}")
+    if conclusive:
         print_line(
             f"best: forward = ({best.sign_x:+d} x, {best.sign_y:+d} y) in {best.unit} over "
             f"{best.span:g} frames, y down; preset {' or '.join(best.presets) or 'unknown'}"
+        )
+    else:
+        print_line(
+            "inconclusive: no candidate brings the frames together; are they consecutive, and are "
+            "these the vectors of the first?"
         )

@@ -22,6 +22,12 @@ from ..weights import SPEED_FLOOR, finite_depth
 
 NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 
+_LONGEST = 1e18
+"""Pixels to which neighbors' velocities are cut, so that no square overflows."""
+
+THIN = 6
+"""Farther neighbors, of eight, that make a pixel part of something one pixel wide."""
+
 
 def _neighbor(size: tuple[int, int], down: int, right: int) -> jax.Array:
     """Row-major index (H, W, 1) of the neighbor at an offset; beyond the edge, of the edge."""
@@ -30,13 +36,6 @@ def _neighbor(size: tuple[int, int], down: int, right: int) -> jax.Array:
     column = lax.broadcasted_iota(jnp.int32, (height, width, 1), 1)
     row, column = jnp.clip(row + down, 0, height - 1), jnp.clip(column + right, 0, width - 1)
     return row * width + column
-
-
-_LONGEST = 1e18
-"""Pixels to which neighbors' velocities are cut, so that no square overflows."""
-
-THIN = 6
-"""Farther neighbors, of eight, that make a pixel part of something one pixel wide."""
 
 
 def _sum(terms):

@@ -149,7 +149,8 @@ def _register(source: str) -> str:
     library = _folder() / f"{name}.so"
     try:
         if not library.exists():
-            LOG.info("compiling a kernel: %s", library)
+            LOG.info("compiling native code, once for this kind of run")
+            LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
         function = getattr(ctypes.CDLL(os.fspath(library)), name)
     except (OSError, AttributeError) as error:

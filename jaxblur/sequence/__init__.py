@@ -21,6 +21,7 @@ from .jobs import (
 from .names import (
     FrameNames as FrameNames,
     has_frame_number as has_frame_number,
+    missing_frames as missing_frames,
     parse_frames as parse_frames,
     parse_names as parse_names,
 )

@@ -1,10 +1,11 @@
 """Names of sequences: ``beauty.####.exr``, ``beauty.%04d.exr``, and frames such as 1001-1240x2."""
 
 import dataclasses
+import itertools
 import os
 import pathlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 PathLike = str | os.PathLike[str]
 
@@ -121,6 +122,23 @@ def parse_frames(text: str) -> list[int]:
     if not frames or any(frame != int(frame) for frame in frames):
         raise ValueError(f"expected frames such as 1001-1240, 1-100x2 or 1,3,7, got {text!r}")
     return [int(frame) for frame in frames]
+
+
+def missing_frames(frames: Sequence[int]) -> str:
+    """Tell which frames a sequence lacks.
+
+    Args:
+        frames: those that are there, in order; two of them next to each other tell the step.
+
+    Returns:
+        Those between the first and the last that are not there, such as ``1004,1007-1009``; empty
+        if there is none.
+    """
+    from fileseq.frameset import FrameSet
+
+    step = min((b - a for a, b in itertools.pairwise(frames)), default=1)
+    missing = sorted(set(range(frames[0], frames[-1], step)) - set(frames))
+    return str(FrameSet.framesToFrameRange(missing)) if missing else ""
 
 
 def at_frame(names: Mapping[str, FrameNames | pathlib.Path], frame: int) -> dict[str, pathlib.Path]:
