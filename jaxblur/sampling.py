@@ -111,8 +111,8 @@ def read_position(
     height, width = size
     row = lax.broadcasted_iota(jnp.int32, (height, width, 1), 0)
     column = lax.broadcasted_iota(jnp.int32, (height, width, 1), 1)
-    right, down = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
-    x, y = column + right.astype(jnp.int32), row + down.astype(jnp.int32)
+    right, down = (jnp.floor(offset + 0.5).astype(jnp.int32) for offset in (offset_x, offset_y))
+    x, y = column + right, row + down
     near_x, near_y = jnp.clip(x, 0, width - 1), jnp.clip(y, 0, height - 1)
     inside = (near_x == x) & (near_y == y)
     counts = inside if border == "skip" else jnp.ones_like(inside)
