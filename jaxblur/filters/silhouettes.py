@@ -132,8 +132,8 @@ def _purest_motion(radius, local, tables, found):
 def purest_motion(
     frame: Frame,
     radius: int,
-    separation: Float[Array, ""],
-    coverage: Float[Array, ""],
+    separation: float | Float[Array, ""],
+    coverage: float | Float[Array, ""],
     backend: Backend,
 ) -> Float[Array, "height width 4"]:
     """Every pixel's motion; at a jump of depth that of the own side least like the other side.
