@@ -25,13 +25,14 @@ def draw_fronts(path: Path, groups: Mapping[str, Sequence[Point]], error: str) -
         error: ``flip`` or ``rmse``.
     """
     lines = -(-len(groups) // COLUMNS)
-    figure = Figure(figsize=(8 * COLUMNS, 5 * lines), layout="constrained")
+    figure = Figure(figsize=(8 * COLUMNS, 5.4 * lines), layout="constrained")
     cells = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
     for cell in cells[len(groups) :]:
         cell.remove()
     for cell, (title, found) in zip(cells, groups.items(), strict=False):
         measurements = [p.measurement(error) for p in drawn(found, error)]
         show.pareto(measurements, error_label=ERROR_LABELS[error], axes=cell)
+        cell.legend(fontsize="x-small", loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=4)
         cell.set_title(title)
         for point in found:
             if point.case.method == bench.UNBLURRED:
