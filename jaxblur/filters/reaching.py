@@ -205,7 +205,7 @@ class _Lines:
         )
 
     def in_front(self, depth, tile):
-        """Whether each line is in front of the depth at one tile for each corner."""
+        """Whether each line is in front of the depth at the tiles of its corners."""
         return depth[tile] - self._depth > IN_FRONT
 
     def unlikeness_to(self, first):
@@ -225,8 +225,8 @@ class _Lines:
         """Number of the line of the highest level of those that cross each tile, -1 for none.
 
         Args:
-            level: maps one tile for each corner to the levels of the lines there, whole numbers;
-                lines below 0 do not count, and of one level the fastest does.
+            level: maps tiles (K, 4 T), K for each corner, to the levels of the lines there, whole
+                numbers; lines below 0 do not count, and of one level the fastest does.
 
         Returns:
             (T,).
@@ -234,18 +234,19 @@ class _Lines:
         counts = self._speed > SPEED_FLOOR
         most = jnp.max(self._steps).astype(jnp.int32)
 
-        def add_step(step, best):
-            tile, inside = self._crossed(step)
+        def add_steps(step, best):
+            # Both ways from the pixel at once: half as many rounds, each of which has its price.
+            tile, inside = self._crossed(jnp.stack([step, -step])[:, None])
             key = level(tile) * self._count + self._rank
-            on_line = inside & counts & (jnp.abs(step) <= self._steps)
+            on_line = inside & counts & (step <= self._steps)
             return best.at[tile].max(jnp.where(on_line, key, -1))
 
         none = jnp.full(self._count, -1, jnp.int32)
-        best = lax.fori_loop(-most, most + 1, add_step, none)
+        best = lax.fori_loop(0, most + 1, add_steps, none)
         return jnp.where(best >= 0, self._by_rank[best % self._count], -1)
 
     def _crossed(self, step):
-        """The tiles under each line's corners at a step of its own, and whether in the grid."""
+        """The tiles under each line's corners at steps of its own, and whether in the grid."""
         row = jnp.floor((self._start_y + step * (self._y / self._steps)) / self._size)
         column = jnp.floor((self._start_x + step * (self._x / self._steps)) / self._size)
         inside = (row >= 0) & (row < self._rows) & (column >= 0) & (column < self._columns)
