@@ -212,10 +212,12 @@ def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
     return blocks[0], change
 
 
-def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
-    """Stages that carry the derivative with respect to each active scalar along."""
+def _carrying(
+    plan: Plan, stages: Stages, active: Sequence[int], stage: Callable[..., Any]
+) -> Callable[..., Any]:
+    """A stage before the samples, and its derivative with respect to each active scalar."""
 
-    def carried(stage, local, tables, found):
+    def carried(local, tables, found):
         leaves = jax.tree.leaves((local, tables))
 
         def of_scalar(position, value):
@@ -228,14 +230,17 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         ]
         return stage(local, tables, found), changes
 
-    def planes(stage):
-        return lambda *operands: jax.tree.leaves(carried(stage, *operands))
+    return carried
 
+
+def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
+    """Stages that carry the derivative with respect to each active scalar along."""
+    carrying = functools.partial(_carrying, plan, stages, active)
     if stages.sample is no_samples:
-        rest = None if stages.rest is None else planes(stages.rest)
-        return Stages(stages.moving, planes(stages.prepare), rest=rest)
+        rest = stages.rest and _flat(carrying(stages.rest))
+        return Stages(stages.moving, _flat(carrying(stages.prepare)), rest=rest)
 
-    prepare = functools.partial(carried, stages.prepare)
+    prepare = carrying(stages.prepare)
 
     def sample(index, prepared, tables):
         value, changes = prepared
@@ -264,6 +269,11 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
     if limit is not None:
         limit = functools.partial(_of_value, limit)
     return Stages(stages.moving, prepare, sample, finish, limit)
+
+
+def _flat(stage: Callable[..., Any]) -> Callable[..., Any]:
+    """A stage whose planes follow each other."""
+    return lambda *operands: jax.tree.leaves(stage(*operands))
 
 
 def _of_value(limit: Callable[..., Any], prepared: tuple[Any, Any]) -> Any:

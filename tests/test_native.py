@@ -128,14 +128,17 @@ def test_derivatives_equal_those_of_xla_where_depths_are_equal():
     frame = make_frame((12, 40))
     depth, velocity = frame.depth.at[:, 20].set(2), frame.velocity.at[:, 20].set(1)
 
-    def of_depth(blur):
-        def loss(depth):
-            blurred = blur(jaxblur.Frame(frame.color, depth, velocity), jaxblur.LayeredParameters())
+    def derivatives(blur):
+        def loss(depth, coverage):
+            parameters = jaxblur.LayeredParameters(thin_coverage=coverage)
+            blurred = blur(jaxblur.Frame(frame.color, depth, velocity), parameters)
             return jnp.sum((blurred - 0.5) ** 2)
 
-        return jax.grad(loss)(depth)
+        alone = jax.grad(loss, argnums=1)(depth, 0.5)
+        assert alone != 0, "something is thin"
+        return jax.grad(loss, argnums=(0, 1))(depth, 0.5), alone
 
-    ours, theirs = map(of_depth, runs("layered", fetch="bilinear"))
+    ours, theirs = map(derivatives, runs("layered", fetch="bilinear"))
     assert_trees_close(ours, theirs, 2e-5)
 
 
