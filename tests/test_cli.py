@@ -5,11 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
 import jaxblur
-from jaxblur.cli import arguments, console, published, stages
+from jaxblur.cli import arguments, console, interrupts, published, stages
 from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, plain_frame, write_single
@@ -161,8 +162,28 @@ def test_control_c_ends_a_running_process(tmp_path):
     process.send_signal(signal.SIGINT)
     rest = process.communicate(timeout=60)[1]
     assert process.returncode == 130
-    assert rest == "jaxblur: error: interrupted\n"
+    assert rest.endswith("jaxblur: error: interrupted\n") and "Traceback" not in rest
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_waits_until_modules_are_loaded():
+    loaded = []
+    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
+        signal.raise_signal(signal.SIGINT)
+        loaded.append("all")
+    assert loaded == ["all"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interruption_that_is_lost_in_a_callback_comes_again():
+    class Interrupted:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt), interrupts.never_lost():
+        one = Interrupted()
+        del one
+        time.sleep(30)
 
 
 def test_a_closed_pipe_ends_quietly():

@@ -5,6 +5,8 @@ import os
 
 from jaxblur.folders import cache_folder
 
+from .interrupts import held_back
+
 LOG = logging.getLogger("jaxblur")
 
 
@@ -18,9 +20,10 @@ def start_jax(compile_cache: bool) -> None:
     """
     # The C++ part of jax logs remarks about cached code that a user can do nothing about.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    import jax
+    with held_back():
+        import jax
 
-    from jaxblur.native import keep_kernels
+        from jaxblur.native import keep_kernels
 
     keep_kernels(compile_cache)
     if not compile_cache:

@@ -16,6 +16,7 @@ from jaxblur.text import one_line
 from . import bench, blur, demo, fit, info, report, scene, vectors
 from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
+from .interrupts import never_lost
 
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench)
@@ -38,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         SystemExit: ``--help`` and ``--version``, with status 0.
     """
     options: dict[str, Any] = {}
-    with _diagnostics():
+    with _diagnostics(), never_lost():
         try:
             arguments = build_parser().parse_args(argv)
             options = vars(arguments)

@@ -1,0 +1,62 @@
+"""Ctrl-C, which is to end a command cleanly whenever it comes."""
+
+import _thread
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+_SOON = 0.01
+"""Seconds after which an interruption is repeated."""
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """Keep an interruption until the end; modules that are being loaded may crash of one.
+
+    Raises:
+        KeyboardInterrupt: there was one.
+    """
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if came:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def never_lost() -> Iterator[None]:
+    """Repeat an interruption that came where exceptions are lost, as in callbacks of jax."""
+    report = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            threading.Timer(_SOON, _interrupt).start()
+        else:
+            report(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = report
+
+
+def _interrupt() -> None:
+    """Interrupt the main thread, from another one."""
+    main = threading.main_thread().ident
+    if os.name == "nt" or main is None:
+        _thread.interrupt_main()
+    else:
+        # Unlike the other it ends a wait of the main thread too.
+        signal.pthread_kill(main, signal.SIGINT)
