@@ -76,7 +76,8 @@ def cond_of_values(
     """
     leaves, structure = jax.tree.flatten(operands)
     functions = [
-        lambda leaves, f=f: f(*jax.tree.unflatten(structure, leaves)) for f in (usual, other)
+        lambda leaves, f=f: jax.tree.map(_batch_first, f(*jax.tree.unflatten(structure, leaves)))
+        for f in (usual, other)
     ]
 
     @jax.custom_jvp
@@ -94,6 +95,14 @@ def cond_of_values(
 
     choose.defjvp(of_usual, symbolic_zeros=True)
     return choose(predicate, leaves)
+
+
+def _batch_first(result: jax.Array) -> jax.Array:
+    """The same; under vmap the batch comes first.
+
+    The result of a map has it second, which the derivative of a custom_jvp takes for the first.
+    """
+    return result.T.T
 
 
 def everywhere(prepare: Callable[..., Any]) -> Stages:

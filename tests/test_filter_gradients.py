@@ -151,6 +151,23 @@ def test_gradients_survive_debug_nans_vmap_and_checkpoint():
     np.testing.assert_allclose(batched, single, rtol=1e-4)
 
 
+@pytest.mark.parametrize("tile_choice", ["own", "expected"])
+def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
+    settings = jaxblur.Settings(samples=5, radius=4, noise="none", tile_choice=tile_choice)
+    frames = [random_frame((8, 12), seed=seed) for seed in (1, 2)]
+
+    def loss(color, frame):
+        changed = jaxblur.Frame(color, frame.depth, frame.velocity)
+        return jnp.sum(
+            jaxblur.guertin2014(changed, jaxblur.GuertinParameters(), settings=settings) ** 2
+        )
+
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *frames)
+    together = jax.grad(lambda colors: jnp.sum(jax.vmap(loss)(colors, stacked)))(stacked.color)
+    alone = [jax.grad(loss)(frame.color, frame) for frame in frames]
+    np.testing.assert_allclose(together, jnp.stack(alone), rtol=1e-4, atol=1e-5)
+
+
 def test_gradient_of_parameters_alone_scatters_nothing():
     frame = random_frame((16, 16))
     function = blur("guertin2014", jaxblur.Settings(samples=5, radius=8), None)
