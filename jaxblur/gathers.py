@@ -100,7 +100,8 @@ def cond_of_values(
 def _batch_first(result: jax.Array) -> jax.Array:
     """The same; under vmap the batch comes first.
 
-    The result of a map has it second, which the derivative of a custom_jvp takes for the first.
+    The result of a map has it second; with jax 0.10.2 the derivative of a custom_jvp then came out
+    with the batch taken for another axis.
     """
     return result.T.T
 
