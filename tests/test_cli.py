@@ -147,10 +147,18 @@ def test_interrupting_gives_130_and_leaves_nothing(monkeypatch, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+NEVER_DONE = """
+import os, sys, time
+from jaxblur.cli import main
+os.replace = lambda *_: time.sleep(60)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_control_c_ends_a_running_process(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "jaxblur", "blur", CAR, "-o", tmp_path / "out.exr"],
+        [sys.executable, "-c", NEVER_DONE, "blur", CAR, "-o", tmp_path / "out.exr"],
         stderr=subprocess.PIPE,
         text=True,
     )
