@@ -21,7 +21,7 @@ LOWEST = {
     "srgb",
     "text",
 }
-OPERATORS = {"gathers", "sample_sums", "sampling", "tiles", "weights"}
+OPERATORS = {"gathers", "marks", "sample_sums", "sampling", "tiles", "weights"}
 CORE = LOWEST | OPERATORS | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
@@ -31,7 +31,7 @@ TOP = {"cli", "demo", "__main__"}
 
 MAY_IMPORT = {
     **dict.fromkeys(LOWEST | OPERATORS | JUDGES, LOWEST),
-    "gathers": LOWEST | {"sample_sums"},
+    **dict.fromkeys(("gathers", "marks"), LOWEST | {"sample_sums"}),
     "filters": LOWEST | OPERATORS,
     "batch": LOWEST | {"filters"},
     "devices": LOWEST | {"filters", "batch"},

@@ -9,7 +9,6 @@ nothing that is farther away: a part of a frame gives what the frame does.
 
 import functools
 import itertools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +16,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..gathers import everywhere, gather_samples
+from ..marks import largest_marks
 from ..safe_math import safe_norm
-from ..sampling import read_row
+from ..sampling import read_nearest, read_row
 from ..settings import Backend
 from ..weights import SPEED_FLOOR
 
@@ -26,11 +26,8 @@ USUAL_TILE = 8
 """Pixels. Six gain less than 0.1 dB on rendered scenes and double the work; twelve lose as much."""
 
 _LARGEST = 7680, 4320
-"""Up to this size frames share one scale of unlikeness; of larger ones it is coarser."""
-
-_SPEED_BITS = 16
-"""Speeds are ranked in this many bits: of those that differ by less than 0.003 px at a radius of
-160 the first pixel counts as the fastest."""
+"""Up to this size frames share one scale of speeds, steps of 0.08 px at a radius of 160; of larger
+ones it is coarser. Within a step the first line counts as the fastest."""
 
 IN_FRONT = 0.05
 """Log depth from which on a line counts as in front of what it crosses."""
@@ -82,16 +79,20 @@ def reaching_pixels(
         Row-major indices into the image, -1 where there is no such line.
     """
     motion = lax.stop_gradient(motion)
-    winner, farthest = _fastest_and_farthest(motion, radius, backend)
-    rows, columns = winner.shape
-    pixel = winner.reshape(-1)
-    lines = _Lines(pixel, motion, (rows, columns), radius)
-    in_front = functools.partial(lines.in_front, farthest)
-    first = lines.highest(lambda tile: jnp.where(in_front(tile), 1, 0))
-    unlikeness = lines.unlikeness_to(first)
-    second = lines.highest(lambda tile: unlikeness(tile, jnp.where(in_front(tile), 1, 1 / BEHIND)))
-    chosen = jnp.stack([first, second])
-    return jnp.where(chosen >= 0, pixel[chosen], -1).reshape(2, rows, columns)
+    pixel, farthest = _fastest_and_farthest(motion, radius, backend)
+    lines = _lines(pixel, motion, radius)
+
+    def highest(score, tables):
+        marks = functools.partial(_marks, score, pixel.shape, radius)
+        best = largest_marks(marks, _steps, lines, tables, pixel.size, backend)
+        return jnp.where(best > 0, -best % pixel.size, -1)
+
+    tables = {"farthest": farthest}
+    first = highest(_score_first, tables)
+    for axis in ("x", "y"):
+        tables[f"first_{axis}"] = lines[axis].reshape(-1)[jnp.maximum(first, 0)]
+    chosen = jnp.stack([first, highest(functools.partial(_score_second, radius), tables)])
+    return jnp.where(chosen >= 0, pixel.reshape(-1)[chosen], -1).reshape(2, *pixel.shape)
 
 
 def _at_most(most: int, value: jax.Array) -> jax.Array:
@@ -138,117 +139,77 @@ def _compare_pixels(image, radius, local, tables, _):
 
 
 def _levels(size: int, count: int) -> int:
-    """Steps to which unlikeness up to the radius is rounded: with the ranks, 31 bits hold them."""
+    """Steps of a score from 0 to 1: 31 bits hold a step from 0 to 2 and the number of a line."""
     width, height = _LARGEST
     usual = -(-width // size) * -(-height // size)
-    return (2**31 - 1) // max(usual, count) - 1
+    return (2**31 - 1) // max(usual, count) // 2 - 1
 
 
-def _slowest_first(speed: jax.Array, radius: int) -> Int[Array, " lines"]:
-    """Numbers of the lines in the order of their speeds; of equal ones the last line is first.
+def _lines(pixel, motion, radius):
+    """What belongs to the lines of the tiles' fastest pixels: (rows, columns, 1) planes."""
+    x, y, depth = jnp.moveaxis(motion.reshape(-1, motion.shape[-1])[pixel, :3], -1, 0)
+    speed = _at_most(radius, safe_norm(x, y))
+    # No farther apart than a tile; rounding of a speed clamped to a whole number of tiles may not
+    # add a step, which would move all of them.
+    steps = jnp.maximum(jnp.ceil(speed / fine_tile(radius) - 1e-3), 1)
+    row, column = (place.astype(x.dtype) for place in jnp.divmod(pixel, motion.shape[1]))
+    planes = {
+        "x": x,
+        "y": y,
+        "depth": depth,
+        "speed": speed / radius,
+        "step_x": x / steps,
+        "step_y": y / steps,
+        "steps": jnp.where(speed > SPEED_FLOOR, steps + 1, 0),
+        "row": row + 0.5,
+        "column": column + 0.5,
+    }
+    return {name: plane[..., None] for name, plane in planes.items()}
 
-    By sorts of whole numbers, a digit of the speed and the place in each: XLA sorts one array of
-    whole numbers four times as fast as it finds the order of another.
+
+def _steps(lines):
+    """How many steps each line takes, the first at its pixel."""
+    return lines["steps"]
+
+
+def _is_in_front(line, tables, tile):
+    """Whether a line is in front of all that is in a tile."""
+    return read_nearest(tables["farthest"], tile) - line["depth"] > IN_FRONT
+
+
+def _score_first(line, tables, tile):
+    """The speed as a share of the radius; what is in front goes first."""
+    return line["speed"] + jnp.where(_is_in_front(line, tables, tile), 1, 0)
+
+
+def _score_second(radius, line, tables, tile):
+    """What a line shows that the tile's first does not, as a share of the radius."""
+    apart = safe_norm(
+        line["x"] - read_nearest(tables["first_x"], tile),
+        line["y"] - read_nearest(tables["first_y"], tile),
+    )
+    share = jnp.minimum(line["speed"], apart / radius)
+    share = jnp.where(_is_in_front(line, tables, tile), share, share / BEHIND)
+    return jnp.where(apart > ALIKE, share, -1)
+
+
+def _marks(score, grid, radius, step, line, tables):
+    """The tiles under a line's four corners, both ways, and the marks that it leaves there.
+
+    A mark tells the score and the line; 0 stands for none. Corners are as wide apart as a tile.
     """
-    count = speed.size
-    place_bits = max(count - 1, 1).bit_length()
-    digit_bits = 31 - place_bits
-    levels = jnp.round(speed / radius * (2**_SPEED_BITS - 1)).astype(jnp.int32)
-    places = jnp.arange(count, dtype=jnp.int32)
-    order = places[::-1]
-    for lowest in range(0, _SPEED_BITS, digit_bits):
-        digit = (levels[order] >> lowest) & (2**digit_bits - 1)
-        keys = lax.sort((digit << place_bits) | places, is_stable=False)
-        order = order[keys & (2**place_bits - 1)]
-    return order
-
-
-class _Lines:
-    """The lines that the tiles' fastest pixels draw over the grid.
-
-    What belongs to a line is there four times over, (4 T,), for the corners of its width: one
-    array for all is quicker than four.
-    """
-
-    def __init__(
-        self,
-        pixel: Int[Array, " tiles"],
-        motion: Float[Array, "height width 4"],
-        grid: tuple[int, int],
-        radius: int,
-    ) -> None:
-        self._rows, self._columns = grid
-        self._size, self._radius, self._count = fine_tile(radius), radius, len(pixel)
-        width = motion.shape[1]
-        x, y, depth = motion.reshape(-1, motion.shape[-1])[pixel, :3].T
-        clamped = _at_most(radius, safe_norm(x, y))
-        self._levels = _levels(self._size, self._count)
-        self._by_rank = _slowest_first(clamped, radius)
-        ranks = jnp.arange(self._count, dtype=jnp.int32)
-        ranks = jnp.zeros_like(ranks).at[self._by_rank].set(ranks)
-        # No farther apart than a tile; rounding of a speed clamped to a whole number of tiles may
-        # not add a step, which would move all of them.
-        steps = jnp.maximum(jnp.ceil(clamped / self._size - 1e-3), 1)
-        half = self._size / 2 - _INSET
-        right, down = (jnp.asarray(side, x.dtype) for side in ((-1, 1, -1, 1), (-1, -1, 1, 1)))
-
-        def at_corners(start, side):
-            return (side[:, None] * half + (start + 0.5)).reshape(-1)
-
-        self._start_x, self._start_y = (
-            at_corners(pixel % width, right),
-            at_corners(pixel // width, down),
-        )
-        planes = (x, y, depth, clamped, steps, ranks)
-        self._x, self._y, self._depth, self._speed, self._steps, self._rank = (
-            jnp.tile(plane, 4) for plane in planes
-        )
-
-    def in_front(self, depth, tile):
-        """Whether each line is in front of the depth at the tiles of its corners."""
-        return depth[tile] - self._depth > IN_FRONT
-
-    def unlikeness_to(self, first):
-        """What each line shows that the tiles' first do not: levels times a factor, -1 if alike."""
-        first_x, first_y = self._x[jnp.maximum(first, 0)], self._y[jnp.maximum(first, 0)]
-        scale = self._levels / self._radius
-
-        def level(tile, factor):
-            apart = safe_norm(self._x - first_x[tile], self._y - first_y[tile])
-            share = jnp.minimum(jnp.minimum(self._speed, apart), self._radius)
-            share = jnp.floor(share * factor * scale).astype(jnp.int32)
-            return jnp.where(apart > ALIKE, share, -1)
-
-        return level
-
-    def highest(self, level: Callable[[Array], Array]) -> Int[Array, " tiles"]:
-        """Number of the line of the highest level of those that cross each tile, -1 for none.
-
-        Args:
-            level: maps tiles (K, 4 T), K for each corner, to the levels of the lines there, whole
-                numbers; lines below 0 do not count, and of one level the fastest does.
-
-        Returns:
-            (T,).
-        """
-        counts = self._speed > SPEED_FLOOR
-        most = jnp.max(self._steps).astype(jnp.int32)
-
-        def add_steps(step, best):
-            # Both ways from the pixel at once: half as many rounds, each of which has its price.
-            tile, inside = self._crossed(jnp.stack([step, -step])[:, None])
-            key = level(tile) * self._count + self._rank
-            on_line = inside & counts & (step <= self._steps)
-            return best.at[tile].max(jnp.where(on_line, key, -1))
-
-        none = jnp.full(self._count, -1, jnp.int32)
-        best = lax.fori_loop(0, most + 1, add_steps, none)
-        return jnp.where(best >= 0, self._by_rank[best % self._count], -1)
-
-    def _crossed(self, step):
-        """The tiles under each line's corners at steps of its own, and whether in the grid."""
-        row = jnp.floor((self._start_y + step * (self._y / self._steps)) / self._size)
-        column = jnp.floor((self._start_x + step * (self._x / self._steps)) / self._size)
-        inside = (row >= 0) & (row < self._rows) & (column >= 0) & (column < self._columns)
-        tile = jnp.where(inside, row * self._columns + column, 0)
-        return tile.astype(jnp.int32), inside
+    (rows, columns), size = grid, fine_tile(radius)
+    levels, step = _levels(size, rows * columns), step.astype(line["x"].dtype)
+    own_row, own_column = (lax.broadcasted_iota(jnp.int32, (*grid, 1), axis) for axis in (0, 1))
+    # Of equal ones the first line leaves the largest mark.
+    last = (rows * columns) - (own_row * columns + own_column)
+    marks, half = [], size / 2 - _INSET
+    for way, down, right in itertools.product((1, -1), (-1, 1), (-1, 1)):
+        row = jnp.floor((line["row"] + down * half + way * step * line["step_y"]) / size)
+        column = jnp.floor((line["column"] + right * half + way * step * line["step_x"]) / size)
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        tile = jnp.where(inside, row * columns + column, 0).astype(jnp.int32)
+        level = jnp.floor(score(line, tables, tile) * levels).astype(jnp.int32)
+        counts = inside & (step < line["steps"]) & (level >= 0)
+        marks.append((tile, jnp.where(counts, level * (rows * columns) + last, 0)))
+    return tuple(marks)

@@ -5,15 +5,21 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from .build import BuildFailed, find_compiler, keep_kernels, register
-from .emit import Kernel, Stages, emit_gather, emit_pull, no_samples
+from .emit import Kernel, Stages, emit_gather, emit_marks, emit_pull, no_samples
 from .operations import Unsupported
 
 LOG = logging.getLogger("jaxblur")
 
-__all__ = ["Stages", "keep_kernels", "native_gather", "native_pull", "no_samples"]
+__all__ = [
+    "Stages",
+    "keep_kernels",
+    "native_gather",
+    "native_marks",
+    "native_pull",
+    "no_samples",
+]
 
 Sample = Callable[..., Any]
 
@@ -79,6 +85,34 @@ def native_pull(
     return _build(lambda: emit_pull(sample, limit, count, size, operands, active, terms), backend)
 
 
+def native_marks(
+    sample: Sample,
+    limit: Callable[..., Any],
+    size: tuple[int, int],
+    operands: tuple[Any, Any],
+    length: int,
+    backend: str,
+) -> Callable[..., tuple[jax.Array, ...]] | None:
+    """A function that finds the largest mark that samples leave at each place of a table.
+
+    Args:
+        sample: see `emit_marks`.
+        limit: as above.
+        size: (H, W).
+        operands: (local, tables); only shapes and types are used here.
+        length: of the table.
+        backend: as `native_gather`.
+
+    Returns:
+        A function of the leaves of the operands, which returns the table; None where XLA has to do
+        it.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    return _build(lambda: emit_marks(sample, limit, size, operands, length), backend)
+
+
 def _build(emit: Callable[[], Kernel], backend: str) -> Callable[..., tuple[jax.Array, ...]] | None:
     """Compile what `emit` writes."""
     if backend == "xla":
@@ -106,7 +140,7 @@ def _caller(target: str, kernel: Kernel) -> Callable[..., Any]:
     """The call into the kernel, one after the other under vmap."""
     # The kernel returns its sums first, then its tables.
     order = sorted(range(len(kernel.shapes)), key=lambda k: len(kernel.shapes[k]) == 1)
-    results = [jax.ShapeDtypeStruct(kernel.shapes[k], jnp.float32) for k in order]
+    results = [jax.ShapeDtypeStruct(kernel.shapes[k], kernel.dtype) for k in order]
     call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
 
     def run(*leaves: jax.Array) -> tuple[jax.Array, ...]:

@@ -58,11 +58,13 @@ class Kernel:
     Attributes:
         source: the program.
         shapes: of every result in turn: (H, W, R) or (H, W) for images, flat for a table that taps
-            add to.
+            add to, or leave their marks in.
+        dtype: of the results.
     """
 
     source: str
     shapes: tuple[tuple[int, ...], ...]
+    dtype: str = "float32"
 
 
 class _Program:
@@ -83,6 +85,7 @@ class _Program:
         self._moving: list[str | Read] = []
         self._numbers: dict[str, Any] = {"HEIGHT": size[0], "WIDTH": size[1], "COUNT": count}
         self._numbers |= {"ARGUMENTS_READ": len(operands), "KEPT": kept, "SUMS": 0, "REST": 0}
+        self._numbers["ELEMENT"] = "float"
         self._rows_of_three: list[int] = []
 
     def write(self, function: Callable[..., Any], shapes: Any, inputs: Sequence[Value]) -> Any:
@@ -139,8 +142,20 @@ class _Program:
                 lines = _add_row(k, base, row, whole=three)
                 self.writer.statements[Level.TAP].extend(lines)
 
+    def mark(self, marks: Sequence[tuple[Value, Value]]) -> None:
+        """Write what a tap leaves in the one table: (place, mark) pairs of whole numbers."""
+        self._numbers["ELEMENT"] = "int32_t"
+        self._rows_of_three = [0]
+        for pair in marks:
+            if any(value.dtype != "int32" for value in pair):
+                raise Unsupported("marks of another type than int32")
+            place, mark = (widened(value, Level.TAP).code for value in pair)
+            self.writer.statements[Level.TAP].append(
+                f"keep_larger(tables[0], {place}, {mark}, lanes);"
+            )
+
     def kernel(self, results: Sequence[Value], tables: Sequence[int] = ()) -> str:
-        """The program, with planes as results and tables of these sizes that taps add to."""
+        """The program, with planes as results and tables of these sizes."""
         for k, result in enumerate(results):
             if result.dtype != "float32":
                 raise Unsupported("results of another type than float32")
@@ -286,6 +301,43 @@ def emit_pull(
     source = program.kernel(program.sums(planes), [length for _, length in tables])
     flat = tuple(shape.shape if shape.ndim == 1 else size for shape in result_shapes)
     return Kernel(source, flat)
+
+
+def emit_marks(
+    sample: Callable[..., Any],
+    limit: Callable[..., Any],
+    size: tuple[int, int],
+    operands: tuple[Any, Any],
+    length: int,
+) -> Kernel:
+    """Write `jaxblur.marks.largest_marks` in C++.
+
+    Args:
+        sample: maps (sample indices (n,), local, tables) to (place, mark) pairs of (H, W, n)
+            arrays of whole numbers.
+        limit: from local to a (H, W, 1) plane, the number of samples.
+        size: (H, W).
+        operands: (local, tables).
+        length: of the table that marks are left in.
+
+    Returns:
+        The kernel; its operands are the leaves, its result is the table.
+
+    Raises:
+        Unsupported: a function uses an operation or a type that has no form in C++ here.
+    """
+    program = _Program(0, size, _operands(*operands))
+    local = program.leaves[: len(jax.tree.leaves(operands[0]))]
+    shapes, table_shapes = _shaped(operands)
+    (moving,), _ = program.write(lambda local: limit(local) > 0, (shapes,), local)
+    program.split(moving)
+    program.stop_at(limit, shapes, local)
+    index = jax.ShapeDtypeStruct((1,), jnp.int32)
+    marks, _ = program.write(
+        sample, (index, shapes, table_shapes), [_SAMPLE_NUMBER, *program.leaves]
+    )
+    program.mark(list(zip(marks[::2], marks[1::2], strict=True)))
+    return Kernel(program.kernel([], [length]), ((length,),), "int32")
 
 
 def _pull_one(

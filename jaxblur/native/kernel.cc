@@ -1,4 +1,5 @@
-/* Sums over the samples of every pixel. The places marked @NAME@ are filled in by emit.py. */
+/* Sums over the samples of every pixel, or the largest of what they leave at places of a table.
+   What stands between two @ is filled in by emit.py. */
 #include <pthread.h>
 #include <sched.h>
 #include <unistd.h>
@@ -23,7 +24,7 @@ enum {
   KEPT = @KEPT@, /* of them that pixels which do not move take from the last argument */
   REST = @REST@, /* 0, or all of them if such pixels have results of their own */
   ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
-  TABLES = @TABLES@, /* results that taps add to anywhere */
+  TABLES = @TABLES@, /* results that taps add to anywhere, or leave their marks in */
 #ifdef __AVX512F__
   LANES = 16, /* pixels of a row that go through the samples together */
 #else
@@ -36,6 +37,8 @@ enum {
   MOST_THREADS = 64,
   MOST_THREADS_WITH_TABLES = 8 /* each has tables of its own */
 };
+
+typedef @ELEMENT@ Element; /* of such a table */
 
 /* One value a lane; a comparison gives -1 where it holds and 0 elsewhere. */
 typedef float Floats __attribute__((vector_size(4 * LANES)));
@@ -86,16 +89,19 @@ static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
 static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
 
-/* Whether a comparison holds in some lane. */
-static inline bool any(Ints a) {
+/* The lanes in which a comparison holds, a bit each. */
+static inline uint32_t lanes_of(Ints a) {
 #if defined(__AVX512F__)
-  return _mm512_test_epi32_mask((__m512i)a, (__m512i)a) != 0;
+  return _mm512_test_epi32_mask((__m512i)a, (__m512i)a);
+#elif defined(__AVX2__)
+  return _mm256_movemask_ps((__m256)a);
 #else
-  int32_t some = 0;
-  for (int k = 0; k < LANES; ++k) some |= a[k];
-  return some != 0;
+  uint32_t lanes = 0;
+  for (int k = 0; k < LANES; ++k) lanes |= uint32_t(a[k] != 0) << k;
+  return lanes;
 #endif
 }
+static inline bool any(Ints a) { return lanes_of(a) != 0; }
 
 static inline int32_t largest(Ints a) {
   int32_t most = 0;
@@ -213,8 +219,8 @@ static inline Floats read_plane(const float* table, Ints index) {
 }
 
 /* Lanes beyond the end of a row hold the row's last value; they are never written back. */
-template <typename Wide, typename Element>
-static inline Wide load(const Element* row, int lanes) {
+template <typename Wide, typename Narrow>
+static inline Wide load(const Narrow* row, int lanes) {
   Wide result;
   for (int k = 0; k < LANES; ++k) result[k] = row[k < lanes ? k : lanes - 1];
   return result;
@@ -286,6 +292,24 @@ static inline void add_three(float* table, Ints index, const Floats (&values)[3]
   add(table, index * (int32_t)0xAAAAAAABu * 4, row, lanes);
 }
 
+/* Keeps the larger of what is there and the lane's own. Lanes may meet at one place, so they come
+   in turn. */
+static inline void keep_larger(int32_t* table, Ints places, Ints marks, int lanes) {
+  const Ints there = (Ints)read((const float*)table, places);
+  uint32_t larger = lanes_of(marks > there);
+  if (larger == 0) return;
+  int32_t place[LANES], mark[LANES];
+  memcpy(place, &places, sizeof place);
+  memcpy(mark, &marks, sizeof mark);
+  for (; larger != 0; larger &= larger - 1) {
+    const int k = __builtin_ctz(larger);
+    if (k < lanes && mark[k] > table[place[k]]) table[place[k]] = mark[k];
+  }
+}
+
+static inline float joined(float a, float b) { return a + b; }
+static inline int32_t joined(int32_t a, int32_t b) { return max_int(a, b); }
+
 static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 static const bool ROWS_OF_THREE[] = {@ROWS_OF_THREE@}; /* with the room of four while added to */
 @CONSTANTS@
@@ -293,7 +317,7 @@ struct Job {
   const float* kept;
   void* const* arguments;
   float* results[RESULTS + 1];
-  float* tables[TABLES + 1];
+  Element* tables[TABLES + 1];
   int threads;
   std::atomic<int> next_part;
 };
@@ -333,7 +357,7 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
   }
 }
 
-static void sum_row(const Job* job, float* const* tables, const int row, const int from,
+static void sum_row(const Job* job, Element* const* tables, const int row, const int from,
                     const int until) {
   (void)tables;
   const int64_t start = (int64_t)row * WIDTH;
@@ -362,12 +386,12 @@ static void sum_row(const Job* job, float* const* tables, const int row, const i
   }
 }
 
-/* What one thread does. Taps add to a table of the thread's own, and to the same rows in every
+/* What one thread does. Taps add to tables of the thread's own, and to the same rows in every
    run, so that the same input gives the same bits. */
 struct Share {
   Job* job;
   int number;
-  float* tables[TABLES + 1];
+  Element* tables[TABLES + 1];
 };
 
 static void* work(void* argument) {
@@ -406,11 +430,11 @@ static bool make_tables(Job* job, Share* shares) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = ROWS_OF_THREE[k] ? TABLE_SIZES[k] / 3 * 4 : TABLE_SIZES[k];
       const bool own = t || ROWS_OF_THREE[k];
-      shares[t].tables[k] = own ? (float*)calloc(size, sizeof(float)) : job->tables[k];
+      shares[t].tables[k] = own ? (Element*)calloc(size, sizeof(Element)) : job->tables[k];
       enough = enough && shares[t].tables[k];
     }
   }
-  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, TABLE_SIZES[k] * sizeof(float));
+  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, TABLE_SIZES[k] * sizeof(Element));
   return enough;
 }
 
@@ -418,13 +442,14 @@ static void join_tables(Job* job, Share* shares, bool enough) {
   for (int t = 0; t < job->threads; ++t) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = enough ? TABLE_SIZES[k] : 0;
-      float *table = job->tables[k], *part = shares[t].tables[k];
+      Element *table = job->tables[k], *part = shares[t].tables[k];
       if (part == table) continue;
       if (ROWS_OF_THREE[k]) {
         for (int64_t p = 0; p < size / 3; ++p)
-          for (int c = 0; c < 3; ++c) table[3 * p + c] += part[4 * p + c];
+          for (int c = 0; c < 3; ++c)
+            table[3 * p + c] = joined(table[3 * p + c], part[4 * p + c]);
       } else {
-        for (int64_t p = 0; p < size; ++p) table[p] += part[p];
+        for (int64_t p = 0; p < size; ++p) table[p] = joined(table[p], part[p]);
       }
       free(part);
     }
@@ -474,6 +499,6 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   for (int k = 0; k < buffers; ++k)
     job.results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
   for (int k = 0; k < TABLES; ++k)
-    job.tables[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
+    job.tables[k] = (Element*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
   return run(&job) ? nullptr : out_of_memory(frame->api);
 }
