@@ -258,8 +258,7 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         def terms(value):
             return stages.sample(index, value, tables)
 
-        derivatives = [jax.jvp(terms, (value,), (change,))[1] for change in changes]
-        return sum(derivatives, start=tuple(terms(value)))
+        return _with_changes(terms, (value,), [(change,) for change in changes])
 
     def finish(sums, prepared, local):
         value, changes = prepared
@@ -269,16 +268,22 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         def results(sums, value):
             return stages.finish(sums, value, local)
 
-        derivatives = [
-            jax.jvp(results, (blocks[0], value), (block, change))[1]
-            for block, change in zip(blocks[1:], changes, strict=True)
-        ]
-        return sum(derivatives, start=tuple(results(blocks[0], value)))
+        return _with_changes(
+            results, (blocks[0], value), list(zip(blocks[1:], changes, strict=True))
+        )
 
     limit = stages.limit
     if limit is not None:
         limit = functools.partial(_of_value, limit)
     return Stages(stages.moving, prepare, sample, finish, limit)
+
+
+def _with_changes(
+    function: Callable[..., Any], values: tuple[Any, ...], changes: Sequence[tuple[Any, ...]]
+) -> tuple[jax.Array, ...]:
+    """Results of a function, then how they change in each direction; what is shared comes once."""
+    results, push = jax.linearize(function, *values)
+    return sum((tuple(push(*change)) for change in changes), start=tuple(results))
 
 
 def _flat(stage: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,10 +1,10 @@
-"""How quick guertin2014 is, against what it should be compared with, in one run.
+"""How quick guertin2014 and layered are, against what they should be compared with, in one run.
 
     python -m experiments.010_fast_paths.run -o OUT [--quick]
 
 Frames of 1280x720 in which every tile moves, 30 % of them do, or none; N = 35 and 15; native code
 and XLA; both fetches; one direction and two; gradients; numba where it is installed. Everything is
-timed in turn. Then two fresh processes, the second of which finds its code compiled. Writes
+timed in turn. Then two fresh processes a filter, the second of which finds its code compiled. Writes
 speed.csv and speed.md.
 """
 
@@ -31,10 +31,10 @@ from jaxblur.bench.timing import time_in_turn
 from jaxblur.filters import FILTERS, PUBLISHED
 
 SIZE = (720, 1280)
-FREE = ("kappa", "gamma", "tau", "phi")
 COLUMNS = ("what", "ms", "CPU ms", "times the reference", "reference", "temporaries, MB")
 SETTINGS = jaxblur.Settings(samples=35, radius=40, noise="none", backend="native")
 REFERENCE = "native, N = 35"
+LAYERED = "layered, N = 35"
 # Imports jax and jaxblur, then blurs one frame; prints the seconds of each.
 FRESH_PROCESS = """
 import sys, time
@@ -42,12 +42,13 @@ start = time.perf_counter()
 import jax
 from jaxblur.cli.compute import start_jax
 from jaxblur.bench.frames import moving_frame
-from jaxblur import GuertinParameters, guertin2014
+from jaxblur.filters import FILTERS, PUBLISHED
 start_jax(compile_cache=True)
 jax.block_until_ready(jax.numpy.ones(1))
 imported = time.perf_counter()
 frame = moving_frame(720, 1280)
-guertin2014(frame, GuertinParameters()).block_until_ready()
+blur, (parameters, settings) = FILTERS[sys.argv[1]], PUBLISHED[sys.argv[1]]
+blur(frame, parameters, settings=settings).block_until_ready()
 print(imported - start, time.perf_counter() - imported)
 """
 
@@ -77,41 +78,67 @@ def compiled_row(name: str, function: Callable[..., Any], reference: str, *argum
     return Row(name, lambda: jax.block_until_ready(program(*arguments)), reference, temporaries)
 
 
-def filter_row(name: str, frame: jaxblur.Frame, reference: str, **changes: Any) -> Row:
-    """A run of the filter with some settings changed."""
-    settings = dataclasses.replace(SETTINGS, **changes)
-    blur = functools.partial(
-        jaxblur.guertin2014, parameters=jaxblur.GuertinParameters(), settings=settings
-    )
-    return compiled_row(name, lambda frame: blur(frame), reference, frame)
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """A filter that is timed in many ways.
+
+    Attributes:
+        filter: its name.
+        free: four of its parameters.
+        prefix: of the names of its rows.
+    """
+
+    filter: str
+    free: tuple[str, ...]
+    prefix: str = ""
+
+    def row(self, name: str, frame: jaxblur.Frame, reference: str, **changes: Any) -> Row:
+        """A run with some settings changed."""
+        settings = dataclasses.replace(SETTINGS, **changes)
+        blur = functools.partial(
+            FILTERS[self.filter], parameters=PUBLISHED[self.filter][0], settings=settings
+        )
+        return compiled_row(name, lambda frame: blur(frame), reference, frame)
+
+    def gradient_rows(self, frame: jaxblur.Frame, fetch: str) -> list[Row]:
+        """Loss, gradient of four parameters, gradient of everything."""
+        settings = dataclasses.replace(SETTINGS, fetch=fetch)
+        parameters = jax.tree.map(jnp.float32, PUBLISHED[self.filter][0])
+
+        def loss(frame, parameters):
+            blurred = FILTERS[self.filter](frame, parameters, settings=settings)
+            return jnp.mean((blurred - 0.5) ** 2)
+
+        def of_free(free, frame, parameters):
+            return loss(frame, dataclasses.replace(parameters, **free))
+
+        free = {name: getattr(parameters, name) for name in self.free}
+        reference = f"{self.prefix}loss, {fetch}"
+        programs = (
+            ("loss", loss, (frame, parameters)),
+            (
+                "value and gradient of four scalars",
+                jax.value_and_grad(of_free),
+                (free, frame, parameters),
+            ),
+            (
+                "value and gradient of every input",
+                jax.value_and_grad(loss, (0, 1)),
+                (frame, parameters),
+            ),
+        )
+        return [
+            compiled_row(f"{self.prefix}{name}, {fetch}", program, reference, *arguments)
+            for name, program, arguments in programs
+        ]
 
 
-def gradient_rows(frame: jaxblur.Frame, **changes: Any) -> list[Row]:
-    """Loss, gradient of four parameters, gradient of everything."""
-    settings = dataclasses.replace(SETTINGS, **changes)
-    parameters = jax.tree.map(jnp.float32, jaxblur.GuertinParameters())
-
-    def loss(frame, parameters):
-        blurred = jaxblur.guertin2014(frame, parameters, settings=settings)
-        return jnp.mean((blurred - 0.5) ** 2)
-
-    def of_free(free, frame, parameters):
-        return loss(frame, dataclasses.replace(parameters, **free))
-
-    free = {name: getattr(parameters, name) for name in FREE}
-    fetch = settings.fetch
-    reference = f"loss, {fetch}"
-    return [
-        compiled_row(reference, loss, reference, frame, parameters),
-        compiled_row(
-            *(f"value and gradient of four scalars, {fetch}", jax.value_and_grad(of_free)),
-            *(reference, free, frame, parameters),
-        ),
-        compiled_row(
-            *(f"value and gradient of every input, {fetch}", jax.value_and_grad(loss, (0, 1))),
-            *(reference, frame, parameters),
-        ),
-    ]
+GUERTIN = Subject("guertin2014", ("kappa", "gamma", "tau", "phi"))
+SLICES = Subject(
+    "layered",
+    ("front_sharpness", "landing_tolerance", "own_tolerance", "surface_sharpness"),
+    "layered, ",
+)
 
 
 def numba_rows(frame: jaxblur.Frame) -> list[Row]:
@@ -150,18 +177,25 @@ def make_rows(size: tuple[int, int]) -> list[Row]:
     numba = {35: "numba, N = 35", 15: "numba, N = 15"} if rows else {}
     few = "native, N = 15"
     rows += [
-        filter_row(REFERENCE, dense, numba.get(35, REFERENCE)),
-        filter_row(few, dense, numba.get(15, few), samples=15),
-        filter_row("XLA, N = 35", dense, REFERENCE, backend="xla"),
-        filter_row("XLA, N = 15", dense, few, backend="xla", samples=15),
-        filter_row("native, N = 35, bilinear", dense, REFERENCE, fetch="bilinear"),
-        filter_row("native, N = 15, bilinear", dense, few, fetch="bilinear", samples=15),
-        filter_row("native, N = 35, one direction", dense, REFERENCE, directions="one"),
-        filter_row("native, N = 35, 30 % of the tiles move", sparse, REFERENCE),
-        filter_row("native, N = 35, nothing moves", still, REFERENCE),
+        GUERTIN.row(REFERENCE, dense, numba.get(35, REFERENCE)),
+        GUERTIN.row(few, dense, numba.get(15, few), samples=15),
+        GUERTIN.row("XLA, N = 35", dense, REFERENCE, backend="xla"),
+        GUERTIN.row("XLA, N = 15", dense, few, backend="xla", samples=15),
+        GUERTIN.row("native, N = 35, bilinear", dense, REFERENCE, fetch="bilinear"),
+        GUERTIN.row("native, N = 15, bilinear", dense, few, fetch="bilinear", samples=15),
+        GUERTIN.row("native, N = 35, one direction", dense, REFERENCE, directions="one"),
+        GUERTIN.row("native, N = 35, 30 % of the tiles move", sparse, REFERENCE),
+        GUERTIN.row("native, N = 35, nothing moves", still, REFERENCE),
+        SLICES.row(LAYERED, dense, REFERENCE),
+        SLICES.row(f"{LAYERED}, bilinear", dense, LAYERED, fetch="bilinear"),
+        SLICES.row(f"{LAYERED}, 30 % of the tiles move", sparse, LAYERED),
+        SLICES.row(f"{LAYERED}, nothing moves", still, LAYERED),
     ]
     rows += published_rows(dense)
-    return rows + gradient_rows(dense) + gradient_rows(dense, fetch="bilinear")
+    for subject in (GUERTIN, SLICES):
+        for fetch in ("nearest", "bilinear"):
+            rows += subject.gradient_rows(dense, fetch)
+    return rows
 
 
 def measure(rows: list[Row], repeats: int) -> list[tuple[str, ...]]:
@@ -178,13 +212,13 @@ def measure(rows: list[Row], repeats: int) -> list[tuple[str, ...]]:
     return lines
 
 
-def fresh_processes() -> list[tuple[str, ...]]:
+def fresh_processes(subject: Subject) -> list[tuple[str, ...]]:
     """Seconds of two fresh processes with one cache folder, empty at first."""
     lines = []
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"XDG_CACHE_HOME": folder}
-        for name in ("first process", "second process"):
-            command = [sys.executable, "-c", FRESH_PROCESS]
+        for name in (f"{subject.prefix}first process", f"{subject.prefix}second process"):
+            command = [sys.executable, "-c", FRESH_PROCESS, subject.filter]
             done = subprocess.run(
                 command, env=environment, check=True, capture_output=True, text=True
             )
@@ -199,7 +233,7 @@ def fresh_processes() -> list[tuple[str, ...]]:
 
 def main() -> None:
     """Parse the command line, measure, write."""
-    parser = argparse.ArgumentParser(description="How quick guertin2014 is.")
+    parser = argparse.ArgumentParser(description="How quick guertin2014 and layered are.")
     parser.add_argument("-o", "--output", type=pathlib.Path, required=True, metavar="DIR")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--quick", action="store_true", help="a quarter of the size, 3 repeats")
@@ -207,7 +241,8 @@ def main() -> None:
     size = (SIZE[0] // 2, SIZE[1] // 2) if options.quick else SIZE
     lines = measure(make_rows(size), 3 if options.quick else options.repeats)
     options.output.mkdir(parents=True, exist_ok=True)
-    write_table(options.output, "speed", COLUMNS, lines + fresh_processes())
+    lines += [*fresh_processes(GUERTIN), *fresh_processes(SLICES)]
+    write_table(options.output, "speed", COLUMNS, lines)
 
 
 if __name__ == "__main__":

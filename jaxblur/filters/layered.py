@@ -215,7 +215,7 @@ def _ways(velocity, half, turn, others, local):
         bend = [part - other for part, other in zip(turn, half, strict=True)]
     else:
         bend = [local["bend"] * part for part in turn]
-    ways = [(velocity, turn, bend, 1)]
+    ways = [(velocity, turn, bend, 1.0)]
     for x, y, own in others:
         ways.append(((x, y), [own * part for part in turn], [own * part for part in bend], own))
     return ways
@@ -255,7 +255,7 @@ def _prepare(size, settings, local, tables, found):
     needed = {
         "ways": _ways((x, y), half, _turn(size, found[0], local, tables), others, local),
         "depth": depth,
-        "moving": moving,
+        "moving": moving.astype(x.dtype),
         "inverse_own": 1 / tolerance,
         "inverse_tolerance": 1 / jnp.square(local["landing_tolerance"]),
         "jitter": local["noise"] * local["jitter"] / 2,
@@ -266,7 +266,7 @@ def _prepare(size, settings, local, tables, found):
 def _finish(sums, prepared, local):
     """The mean over the slices, and the color itself where nothing moves or nothing is seen."""
     *colors, weight = sums
-    blurs = prepared["moving"] & (weight > SMALLEST_WEIGHT)
+    blurs = (prepared["moving"] > 0) & (weight > SMALLEST_WEIGHT)
     inverse = 1 / jnp.where(blurs, weight, 1)
     return tuple(
         jnp.where(blurs, color * inverse, channel(local["color"], k))
