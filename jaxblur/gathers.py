@@ -97,6 +97,20 @@ def cond_of_values(
     return choose(predicate, leaves)
 
 
+def unchanged(color: jax.Array, computed: jax.Array) -> jax.Array:
+    """The shortcut of `cond_of_values` that gives a picture back.
+
+    Args:
+        color: the picture, an operand.
+        computed: the predicate, an operand too.
+
+    Returns:
+        The color, where it is not computed.
+    """
+    # By a product with one: XLA copies a result that is an operand three times over.
+    return color * jnp.where(computed, 0, 1).astype(color.dtype)
+
+
 def _batch_first(result: jax.Array) -> jax.Array:
     """The same; under vmap the batch comes first.
 
@@ -154,22 +168,9 @@ def _by_stages(
 ) -> tuple[jax.Array, jax.Array]:
     """Which pixels move (H, W, 1), and their results: one stage after the other."""
     local, tables = plan.operands(leaves)
+    moving, prepared = _prepared(plan, stages, local, tables)
     if stages.sample is no_samples:
-        moving, found = stages.moving(local, tables)
-        results = jnp.concatenate(stages.prepare(local, tables, found), axis=-1)
-        if stages.rest is None:
-            return moving, results
-        rest = jnp.concatenate(stages.rest(local, tables, found), axis=-1)
-        return jnp.ones_like(moving), jnp.where(moving, results, rest)
-
-    # Reverse mode computes these stages once more. Keeping their intermediate planes costs more:
-    # dozens of images.
-    @jax.checkpoint
-    def prepare(local, tables):
-        moving, found = stages.moving(local, tables)
-        return moving, stages.prepare(local, tables, found)
-
-    moving, prepared = prepare(local, tables)
+        return moving, jnp.concatenate(prepared, axis=-1)
     sums = sum_samples(
         *(stages.sample, plan.count, moving[..., 0], prepared, tables),
         *(plan.backend, stages.limit),
@@ -177,6 +178,39 @@ def _by_stages(
     planes = tuple(total[..., None] for total in sums)
     results = jax.checkpoint(stages.finish)(planes, prepared, local)
     return moving, jnp.concatenate(results, axis=-1)
+
+
+def _prepared(plan: Plan, stages: Stages, local: Any, tables: Any) -> tuple[jax.Array, Any]:
+    """Which pixels move, and what is prepared: planes are the terms of one sample.
+
+    So that derivatives are those of a sum, in native code too; reverse mode computes these stages
+    once more and keeps none of their planes, which are dozens.
+    """
+
+    def prepare(local, tables):
+        moving, found = stages.moving(local, tables)
+        prepared = stages.prepare(local, tables, found)
+        if stages.rest is None:
+            return moving, prepared
+        rest = stages.rest(local, tables, found)
+        chosen = [jnp.where(moving, *pair) for pair in zip(prepared, rest, strict=True)]
+        return jnp.ones_like(moving), chosen
+
+    moving, prepared = jax.eval_shape(prepare, local, tables)
+    leaves, structure = jax.tree.flatten(prepared)
+    planes = [k for k, leaf in enumerate(leaves) if leaf.ndim == 3]
+
+    def one_sample(_, local, tables):
+        moving, prepared = prepare(local, tables)
+        values = jax.tree.leaves(prepared)
+        return moving.astype(values[planes[0]].dtype), *(values[k] for k in planes)
+
+    everywhere = jnp.ones(moving.shape[:2], bool)
+    moving, *found = sum_samples(one_sample, 1, everywhere, local, tables, plan.backend)
+    # Scalars are as quick to compute as to read.
+    scalars = jax.tree.leaves(prepare(local, tables)[1])
+    values = replaced(scalars, planes, [plane[..., None] for plane in found])
+    return moving[..., None] > 0, jax.tree.unflatten(structure, values)
 
 
 def _gather_jvp(plan, stages, primals, tangents):

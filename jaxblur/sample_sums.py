@@ -12,7 +12,7 @@ rematerialisation.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -65,14 +65,16 @@ def sum_samples(
         count: number of samples N.
         moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and mean
             nothing.
-        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are.
+        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are; of
+            one sample alone also (H, W, K) images, taken apart by `sampling.channel`.
         tables: pytree of (H * W,) arrays that samples read at other pixels.
         backend: see `jaxblur.Settings`.
         limit: as that of `Stages`, from local.
 
     Returns:
         A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
-        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter.
+        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter,
+        unless there is but one sample: its terms may be many.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
@@ -173,7 +175,7 @@ def _sum_jvp(plan, primals, tangents):
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
     directions = [tangents[k] for k in active]
     tables = len(leaves) - len(jax.tree.leaves(plan.operands(leaves)[1]))
-    if not active or active[-1] < tables:
+    if not active or (plan.count > 1 and active[-1] < tables):
         return _local_derivatives(plan, moving, leaves, active, directions)
     change = _push.bind(moving, *leaves, *directions, plan=plan, active=tuple(active))
     return _sum(plan, moving, leaves), tuple(change)
@@ -236,13 +238,19 @@ def _pull(plan: Plan, active: tuple[int, ...], moving: Any, leaves: Any, images:
 
     def by_kernel(moving: jax.Array, *operands: jax.Array) -> tuple[jax.Array, ...]:
         images = [image[..., None] for image in operands[len(leaves) :]]
-        values = native(moving, *operands[: len(leaves)], *images)
-        return tuple(
-            jnp.sum(value) if leaves[k].ndim == 0 else value.reshape(leaves[k].shape)
-            for k, value in zip(active, values, strict=True)
-        )
+        values = iter(native(moving, *operands[: len(leaves)], *images))
+        return tuple(_like(leaves[k], values) for k in active)
 
     return on_cpu(by_kernel, by_xla, moving, *leaves, *images)
+
+
+def _like(leaf: jax.Array, values: Iterator[jax.Array]) -> jax.Array:
+    """The derivative by a leaf, from what the kernel returns next."""
+    if leaf.ndim == 0:
+        return jnp.sum(next(values))
+    if leaf.ndim == 3:
+        return jnp.stack([next(values) for _ in range(leaf.shape[-1])], axis=-1)
+    return next(values)
 
 
 def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import cond_of_values, everywhere, gather_samples
+from ..gathers import cond_of_values, everywhere, gather_samples, unchanged
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -260,9 +260,7 @@ def _blur_all(settings, frame, speed, tiles, noise, parameters, _anything):
 
 def _keep(count, frame, *others):
     """The same where nothing moves."""
-    anything = others[-1]
-    # By a product with one: XLA copies a result that is an operand three times over.
-    color = frame.color * jnp.where(anything, 0, 1).astype(frame.color.dtype)
+    color = unchanged(frame.color, others[-1])
     return jnp.broadcast_to(color, (count, *color.shape))
 
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import gather_samples
+from ..gathers import cond_of_values, gather_samples, unchanged
 from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -274,6 +274,43 @@ def _finish(sums, prepared, local):
     )
 
 
+def _blur(settings, frame, parameters, noise, _anything):
+    """The image."""
+    shape = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, *shape)
+    motion = purest_motion(
+        *(frame, settings.radius, parameters.surface_sharpness, parameters.thin_coverage),
+        settings.backend,
+    )
+    local = vars(parameters) | {
+        "motion": motion,
+        "color": frame.color,
+        "noise": noise.tap.astype(frame.color.dtype)[..., None],
+    }
+    images = {
+        "motion": motion,
+        "color": frame.color,
+        "others": _reaching_velocities(motion, settings),
+    }
+    if frame.path is not None:
+        images["path"] = frame.path
+    tables = {name: image.reshape(-1) for name, image in images.items()}
+    count = settings.samples // GUESSES
+    stages = Stages(
+        moving=functools.partial(_is_moving, settings),
+        prepare=functools.partial(_prepare, shape, settings),
+        sample=functools.partial(_slice, shape, settings, count),
+        finish=_finish,
+        limit=sample_limit(settings),
+    )
+    return gather_samples(stages, count, frame.color, local, tables, settings.backend)
+
+
+def _keep(frame, *others):
+    """The same where nothing moves."""
+    return unchanged(frame.color, others[-1])
+
+
 @functools.partial(jax.jit, static_argnames=("settings",))
 @honoring_mask
 def layered(
@@ -310,32 +347,11 @@ def layered(
     if settings.samples < GUESSES:
         raise ValueError(f"`samples` must be at least {GUESSES}, got {settings.samples}.")
     frame = check_frame(frame)
-    shape = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, *shape)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    motion = purest_motion(
-        *(frame, settings.radius, parameters.surface_sharpness, parameters.thin_coverage),
-        settings.backend,
+    vectors = frame.velocity if frame.path is None else frame.path
+    # No component above half the floor: no vector above it.
+    anything = jnp.any(jnp.abs(vectors) > SPEED_FLOOR / 2)
+    return cond_of_values(
+        *(anything, functools.partial(_blur, settings), _keep),
+        (frame, parameters, noise, anything),
     )
-    local = vars(parameters) | {
-        "motion": motion,
-        "color": frame.color,
-        "noise": noise.tap.astype(frame.color.dtype)[..., None],
-    }
-    images = {
-        "motion": motion,
-        "color": frame.color,
-        "others": _reaching_velocities(motion, settings),
-    }
-    if frame.path is not None:
-        images["path"] = frame.path
-    tables = {name: image.reshape(-1) for name, image in images.items()}
-    count = settings.samples // GUESSES
-    stages = Stages(
-        moving=functools.partial(_is_moving, settings),
-        prepare=functools.partial(_prepare, shape, settings),
-        sample=functools.partial(_slice, shape, settings, count),
-        finish=_finish,
-        limit=sample_limit(settings),
-    )
-    return gather_samples(stages, count, frame.color, local, tables, settings.backend)

@@ -126,16 +126,27 @@ def _compare_pixels(image, radius, local, tables, _):
             (lax.broadcasted_iota(jnp.int32, grid, 1), width),
         )
     )
-    fastest = jnp.full_like(local["nothing"], -1)
-    number, farthest = jnp.zeros_like(fastest), jnp.full_like(fastest, -jnp.inf)
+    nothing = local["nothing"]
+    best = nothing - 1, nothing, nothing - jnp.inf
     # Beyond the edge the last pixels come again, which changes nothing.
     for k, (row, column) in enumerate(itertools.product(rows, columns)):
-        x, y, depth = read_row(tables["motion"], row * width + column, 4, 3)
-        speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
-        number = jnp.where(speed > fastest, float(k), number)
-        fastest = jnp.where(speed > fastest, speed, fastest)
-        farthest = jnp.where(depth > farthest, depth, farthest)
-    return [number, farthest]
+        index = row * width + column
+        best = _compare_pixel(radius, best, jnp.asarray(k, nothing.dtype), index, tables["motion"])
+    return list(best[1:])
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _compare_pixel(radius, best, k, index, motion):
+    """Greatest squared speed, its number and greatest log depth, with a pixel more.
+
+    A function of its own so that JAX traces it once, and not for each of the pixels.
+    """
+    fastest, number, farthest = best
+    x, y, depth = read_row(motion, index, 4, 3)
+    speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
+    number = jnp.where(speed > fastest, k, number)
+    fastest = jnp.where(speed > fastest, speed, fastest)
+    return fastest, number, jnp.where(depth > farthest, depth, farthest)
 
 
 def _levels(size: int, count: int) -> int:
@@ -203,13 +214,24 @@ def _marks(score, grid, radius, step, line, tables):
     own_row, own_column = (lax.broadcasted_iota(jnp.int32, (*grid, 1), axis) for axis in (0, 1))
     # Of equal ones the first line leaves the largest mark.
     last = (rows * columns) - (own_row * columns + own_column)
-    marks, half = [], size / 2 - _INSET
-    for way, down, right in itertools.product((1, -1), (-1, 1), (-1, 1)):
-        row = jnp.floor((line["row"] + down * half + way * step * line["step_y"]) / size)
-        column = jnp.floor((line["column"] + right * half + way * step * line["step_x"]) / size)
+    half = size / 2 - _INSET
+
+    # Traced once, for eight uses.
+    @jax.jit
+    def mark(row, column, line, tables):
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         tile = jnp.where(inside, row * columns + column, 0).astype(jnp.int32)
         level = jnp.floor(score(line, tables, tile) * levels).astype(jnp.int32)
         counts = inside & (step < line["steps"]) & (level >= 0)
-        marks.append((tile, jnp.where(counts, level * (rows * columns) + last, 0)))
+        return tile, jnp.where(counts, level * (rows * columns) + last, 0)
+
+    marks = []
+    for way in (step, -step):
+        across, down = way * line["step_x"], way * line["step_y"]
+        columns_there, rows_there = (
+            [jnp.floor((line[name] + side * half + moved) / size) for side in (-1, 1)]
+            for name, moved in (("column", across), ("row", down))
+        )
+        pairs = itertools.product(rows_there, columns_there)
+        marks += [mark(row, column, line, tables) for row, column in pairs]
     return tuple(marks)

@@ -76,8 +76,8 @@ def native_pull(
 
     Returns:
         A function of the moving pixels, the leaves of the operands and one (H, W, 1) image a sum;
-        it returns a plane for each active plane or scalar, a table for each active table. None
-        where XLA has to do it.
+        it returns a plane for each active plane or scalar and for each channel of an active image,
+        a table for each active table. None where XLA has to do it.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.

@@ -129,7 +129,7 @@ class _Program:
         for k, term in enumerate(terms):
             known = term.number is not None and not np.any(term.number)
             sums.append(term if known else Value(f"sums[{k}]", "float32", Level.PIXEL))
-            tap.extend([] if known else [f"sums[{k}] += {term.code};"])
+            tap.extend([] if known else [f"sums[{k}] += {widened(term, Level.TAP).code};"])
         return sums
 
     def add(self, tables: Sequence[Value]) -> None:
@@ -266,7 +266,8 @@ def emit_pull(
 
     Returns:
         The kernel; its operands are the moving pixels, the leaves, the images. Its results are in
-        the order of `active`: a plane for each plane *and each scalar*, a table for each table.
+        the order of `active`: a plane for each plane *and each scalar*, and for each channel of an
+        image; a table for each table.
 
     Raises:
         Unsupported: the sample uses an operation or a type that has no form in C++ here.
@@ -291,16 +292,18 @@ def emit_pull(
         (jax.ShapeDtypeStruct((1,), jnp.int32), shapes, images),
         [_SAMPLE_NUMBER, *program.leaves[1:]],
     )
-    planes = [value for value, shape in zip(results, result_shapes, strict=True) if shape.ndim == 3]
-    tables = [
-        (value, shape.size)
-        for value, shape in zip(results, result_shapes, strict=True)
-        if shape.ndim == 1
-    ]
+    planes, tables, flat = [], [], []
+    for value, shape in zip(results, result_shapes, strict=True):
+        if shape.ndim == 1:
+            tables.append((value, shape.size))
+            flat.append(shape.shape)
+        else:
+            channels = shape.shape[-1]
+            planes.extend(value.columns or [value] * channels)
+            flat.extend([size] * channels)
     program.add([table for table, _ in tables])
     source = program.kernel(program.sums(planes), [length for _, length in tables])
-    flat = tuple(shape.shape if shape.ndim == 1 else size for shape in result_shapes)
-    return Kernel(source, flat)
+    return Kernel(source, tuple(flat))
 
 
 def emit_marks(

@@ -59,11 +59,29 @@ def _addition(equation: Any, table: Value, index: Value, value: Value) -> Value:
 
 
 def _merged(first: Value, second: Value) -> Value:
-    """The sum of two tables that taps add to."""
-    for value in (first, second):
-        if not value.additions and (value.number is None or value.number != 0):
-            raise Unsupported("a sum of a table and a plane")
+    """The sum of two tables that taps add to, or of one thing and zeros."""
+    if _is_zero(first) or _is_zero(second):
+        return second if _is_zero(first) else first
+    if not (first.additions and second.additions):
+        raise Unsupported("a sum of a table and a plane")
     return dataclasses.replace(first, additions=first.additions + second.additions)
+
+
+def _is_zero(value: Value) -> bool:
+    """Whether a value is a zero that is written out."""
+    return value.number is not None and not np.any(value.number)
+
+
+def _padded(parameters: Any, plane: Value, filling: Value) -> Value:
+    """An image of zeros but for one channel: the derivative of taking a channel out."""
+    *sides, (before, after, inside) = parameters["padding_config"]
+    if any(map(any, sides)) or inside or min(before, after) < 0 or not _is_zero(filling):
+        raise Unsupported("a pad other than of a channel to an image")
+    if _is_zero(plane):
+        return plane
+    return dataclasses.replace(
+        filling, columns=(*[filling] * before, plane, *[filling] * after), number=None
+    )
 
 
 def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
@@ -72,7 +90,7 @@ def _without_zeros(name: str, inputs: Sequence[Value]) -> Value | None:
     Such zeros are those of derivatives that vanish; a product with one is 0 even for NaN, as it
     is for the symbolic zeros of JAX.
     """
-    zeros = [value.number is not None and not np.any(value.number) for value in inputs]
+    zeros = [_is_zero(value) for value in inputs]
     if inputs[0].dtype != "float32" and name != "select_n":
         return None
     if name in ("mul", "div") and zeros[0]:
@@ -189,8 +207,10 @@ class Writer:
             return [self._read(equation, *inputs)]
         if name == "scatter-add":
             return [_addition(equation, *inputs)]
-        if name in ("add", "add_any") and any(value.additions for value in inputs):
-            return [_merged(*inputs)]
+        if name == "pad":
+            return [_padded(parameters, *inputs)]
+        if name in ("add", "add_any") and any(v.additions or v.columns for v in inputs):
+            return [self._sum(equation, *inputs)]
         if name == "iota":
             return [self._position(parameters)]
         if name == "slice" and inputs[0].channels:
@@ -204,10 +224,10 @@ class Writer:
         """An elementwise operation."""
         if name not in OPERATIONS:
             raise Unsupported(f"the operation {name}")
-        if any(value.table or value.additions or value.channels for value in inputs):
-            raise Unsupported(f"{name} of a whole table or image")
         if (known := _without_zeros(name, inputs)) is not None:
             return known
+        if any(v.table or v.additions or v.channels or v.columns for v in inputs):
+            raise Unsupported(f"{name} of a whole table or image")
         level = Level(functools.reduce(operator.or_, (value.level for value in inputs), 0))
         operands = [widened(value, level) for value in inputs]
         if name == "select_n":
@@ -221,6 +241,15 @@ class Writer:
         result = self.define(code, dtype, level)
         base = _base(name, result.code, inputs)
         return dataclasses.replace(result, base=base, floored=floored, reciprocal=reciprocal)
+
+    def _sum(self, equation: Any, first: Value, second: Value) -> Value:
+        """The sum of two tables that taps add to, or of two images put together from planes."""
+        if not (first.columns and second.columns):
+            return _merged(first, second)
+        dtype = equation.outvars[0].aval.dtype
+        pairs = zip(first.columns, second.columns, strict=True)
+        columns = tuple(self._operation("add", {}, list(pair), dtype) for pair in pairs)
+        return dataclasses.replace(first, columns=columns)
 
     def _read(self, equation: Any, table: Value, index: Value) -> Value:
         """A read of a flat table at one index a tap, known to lie inside."""

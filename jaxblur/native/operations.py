@@ -41,6 +41,7 @@ class Value:
         floored: the expression that it is the floor of, where that is known.
         reciprocal: the expression of one by it, where that is exact.
         additions: (index, value) pairs, where it is a table that taps add to.
+        columns: its channels, where it is an image that is put together from planes.
     """
 
     code: str
@@ -53,6 +54,7 @@ class Value:
     floored: str = ""
     reciprocal: str = ""
     additions: "tuple[tuple[Value, Value], ...]" = ()
+    columns: "tuple[Value, ...]" = ()
 
     @property
     def ordered(self) -> bool:
