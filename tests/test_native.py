@@ -1,6 +1,7 @@
 """Native kernels: equal to XLA's, used where they can be, and left alone where they cannot."""
 
 import concurrent.futures
+import dataclasses
 import functools
 import logging
 import os
@@ -140,6 +141,45 @@ def test_derivatives_equal_those_of_xla_where_depths_are_equal():
 
     ours, theirs = map(derivatives, runs("layered", fetch="bilinear"))
     assert_trees_close(ours, theirs, 2e-5)
+
+
+@pytest.mark.parametrize("name", [*sorted(jaxblur.FILTERS), "layered along paths"])
+def test_derivatives_by_every_input_equal_those_of_xla(name):
+    frame = make_frame((6, 40))
+    if "paths" in name:
+        name = "layered"
+        bend = jnp.asarray(np.random.default_rng(3).normal(0, 1, (6, 40, 2)), jnp.float32)
+        path = jnp.stack([bend - frame.velocity, bend + frame.velocity], axis=-2)
+        frame = dataclasses.replace(frame, path=path)
+    parameters = jax.tree.map(jnp.float32, parameters_of(name))
+
+    def derivatives(blur):
+        def loss(frame, parameters):
+            return jnp.sum((blur(frame, parameters) - 0.5) ** 2)
+
+        return jax.grad(loss, argnums=(0, 1))(frame, parameters)
+
+    ours, theirs = map(derivatives, runs(name, fetch="bilinear"))
+    assert_trees_close(ours, theirs, 2e-5)
+    moved = ours[0].velocity if frame.path is None else ours[0].path
+    assert np.any(np.abs(moved) > 1e-3) and np.any(np.abs(ours[0].color) > 1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(jaxblur.FILTERS))
+def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
+    asked = gathers._carries_derivatives
+    answers = []
+    monkeypatch.setattr(
+        *(gathers, "_carries_derivatives"), lambda *a: answers.append(asked(*a)) or answers[-1]
+    )
+    settings = jaxblur.Settings(samples=9, radius=4)
+    frame, parameters = make_frame((7, 21)), jax.tree.map(jnp.float32, parameters_of(name))
+
+    def total(parameters):
+        return jnp.sum(jaxblur.FILTERS[name](frame, parameters, settings=settings))
+
+    jax.jvp(total, (parameters,), (parameters,))
+    assert all(answers) and (answers or not jax.tree.leaves(parameters))
 
 
 def test_second_derivatives_and_batches_equal_those_of_xla():

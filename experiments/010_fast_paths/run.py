@@ -4,8 +4,8 @@
 
 Frames of 1280x720 in which every tile moves, 30 % of them do, or none; N = 35 and 15; native code
 and XLA; both fetches; one direction and two; gradients; numba where it is installed. Everything is
-timed in turn. Then two fresh processes a filter, the second of which finds its code compiled. Writes
-speed.csv and speed.md.
+timed in turn. Then two fresh processes a filter, the second of which finds its code compiled.
+Writes speed.csv and speed.md.
 """
 
 import argparse

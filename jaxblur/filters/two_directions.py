@@ -40,7 +40,7 @@ def two_directions(
     velocity: Vector,
     inverse_speed: Float[Array, "*a"],
     dominant: Vector,
-    gamma: float | Float[Array, ""],
+    gamma: float | Float[Array, "*b"],
 ) -> tuple[Vector, Vector]:
     """The two unit directions (pass 6): along the dominant velocity, and the center direction.
 
@@ -53,7 +53,7 @@ def two_directions(
         velocity: x and y of the pixel's own velocity, pixels.
         inverse_speed: reciprocal of its floored norm, 1 / pixels.
         dominant: x and y of the dominant velocity of the neighborhood, pixels.
-        gamma: pixels of speed over which the center direction turns, > 0.
+        gamma: pixels of speed over which the center direction turns, > 0; a scalar, or a plane.
 
     Returns:
         x and y of both; 0 where nothing moves.

@@ -273,11 +273,12 @@ def emit_pull(
         Unsupported: the sample uses an operation or a type that has no form in C++ here.
     """
     leaves = _operands(*operands)
-    # One sample at a time, and scalars as planes: then nothing is summed over an axis in there.
+    # One sample at a time, and scalars that are differentiated as planes: then nothing is summed
+    # over an axis in there.
     plane = (*size, 1)
     shapes = [
-        jax.ShapeDtypeStruct(leaf.shape if table or leaf.ndim else plane, leaf.dtype)
-        for leaf, table in leaves
+        jax.ShapeDtypeStruct(plane if k in active and not leaf.ndim else leaf.shape, leaf.dtype)
+        for k, (leaf, _) in enumerate(leaves)
     ]
     images = [jax.ShapeDtypeStruct(plane, term.dtype) for term in terms]
     moving = jax.ShapeDtypeStruct(plane, jnp.bool_)
