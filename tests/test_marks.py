@@ -112,5 +112,6 @@ def test_marks_are_whole_numbers():
         ((place, mark), _) = walk(index, local, tables)
         return ((place, mark / 2),)
 
+    local, tables = lines((2, 8, 1))
     with pytest.raises(ValueError, match="marks of another type than int32"):
-        largest_marks(halves, count, *lines((2, 8, 1)), LENGTH, "native")
+        largest_marks(halves, count, local, tables, LENGTH, "native")
