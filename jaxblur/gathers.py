@@ -35,7 +35,7 @@ def gather_samples(
 
     Args:
         stages: ``moving(local, tables)`` gives a (H, W, 1) bool plane, the pixels that are
-            computed, and what it found out; ``prepare(local, tables, found)`` a pytree of
+            computed, and what it found out; ``prepare(local, tables, found)`` a pytree of real
             (H, W, 1) planes and scalars; ``sample(indices (n,), prepared, tables)`` a tuple of
             (H, W, n) terms; ``finish(sums, prepared, local)`` a tuple of (H, W, 1) results.
             Elementwise but for reads of the tables. Part of the compilation key.
@@ -218,8 +218,10 @@ def _gather_jvp(plan, stages, primals, tangents):
     (kept, leaves), (kept_change, tangents) = primals, tangents
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
     directions = [tangents[k] for k in active]
-    if all(leaves[k].ndim == 0 for k in active) and _carries_derivatives(plan, stages, leaves):
+    if all(leaves[k].ndim == 0 for k in active):
         values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
+        if isinstance(kept_change, SymbolicZero):
+            return values, change
         moving = True if stages.rest else stages.moving(*plan.operands(leaves))[0]
     else:
 
@@ -234,14 +236,6 @@ def _gather_jvp(plan, stages, primals, tangents):
     if isinstance(kept_change, SymbolicZero):
         kept_change = jnp.zeros_like(kept)
     return values, _select(moving, change, kept_change)
-
-
-def _carries_derivatives(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> bool:
-    """Whether all that is prepared is real, so that it has a derivative."""
-    local, tables = plan.operands(leaves)
-    _, found = jax.eval_shape(stages.moving, local, tables)
-    prepared = jax.eval_shape(stages.prepare, local, tables, found)
-    return all(jnp.issubdtype(leaf.dtype, jnp.inexact) for leaf in jax.tree.leaves(prepared))
 
 
 def _scalar_derivatives(plan, stages, kept, leaves, active, directions):

@@ -32,8 +32,8 @@ class Stages(NamedTuple):
     Attributes:
         moving: from (local, tables) to a (H, W, 1) bool plane, the pixels that are computed, and a
             pytree of what was found out on the way.
-        prepare: from (local, tables, found) to a pytree of (H, W, 1) planes and scalars, once a
-            pixel that moves. `sampling.channel` takes a local image apart.
+        prepare: from (local, tables, found) to a pytree of real (H, W, 1) planes and scalars, once
+            a pixel that moves. `sampling.channel` takes a local image apart.
         sample: from (sample indices (n,), prepared, tables) to a tuple of (H, W, n) terms; with
             `no_samples` what is prepared, a sequence of planes, is the result.
         rest: from (local, tables, found) to the result, a sequence of (H, W, 1) planes, of the
