@@ -271,6 +271,22 @@ def test_operations_mean_the_same(name):
     np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=2e-6)
 
 
+@pytest.mark.parametrize(
+    ("width", "wanted", "length"), [(2, 1, 95), (3, 3, 95), (4, 3, 95), (4, 3, 96), (5, 5, 95)]
+)
+def test_derivatives_by_rows_of_a_table_equal_those_of_xla(width, wanted, length):
+    table = jnp.asarray(np.random.default_rng(1).uniform(-2, 2, length), jnp.float32)
+
+    def some_of_rows(i, a, t):
+        row = sampling.read_row(t, (own_place(a) * 7 + i) % (length // width), width, wanted)
+        return sum(((k + 1) * value**2 for k, value in enumerate(row)), start=0 * a)
+
+    def derivative(backend: Backend):
+        return jax.grad(lambda t: jnp.sum(sum_of(some_of_rows, {"t": t}, backend)))(table)
+
+    np.testing.assert_allclose(derivative("native"), derivative("xla"), rtol=1e-5, atol=1e-5)
+
+
 def test_neighbors_in_memory_are_read_as_often_as_they_are_asked_for():
     image = jnp.asarray(np.random.default_rng(0).random((3, 19, 2)), jnp.float32)
 

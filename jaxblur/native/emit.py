@@ -132,14 +132,15 @@ class _Program:
             tap.extend([] if known else [f"sums[{k}] += {widened(term, Level.TAP).code};"])
         return sums
 
-    def add(self, tables: Sequence[Value]) -> None:
-        """Write what a tap adds to tables."""
-        for k, table in enumerate(tables):
+    def add(self, tables: Sequence[tuple[Value, int]]) -> None:
+        """Write what a tap adds to tables, of so many elements each."""
+        for k, (table, length) in enumerate(tables):
             rows = _rows(table)
             three = all(factor == 3 and max(row) < 3 for (_, factor), row in rows.items())
             self._rows_of_three.append(int(three and bool(rows)))
-            for (base, _), row in rows.items():
-                lines = _add_row(k, base, row, whole=three)
+            for (base, factor), row in rows.items():
+                four = factor % 4 == 0 and length % 4 == 0
+                lines = _add_row(k, base, row, 3 * three + 4 * four)
                 self.writer.statements[Level.TAP].extend(lines)
 
     def mark(self, marks: Sequence[tuple[Value, Value]]) -> None:
@@ -302,7 +303,7 @@ def emit_pull(
             channels = shape.shape[-1]
             planes.extend(value.columns or [value] * channels)
             flat.extend([size] * channels)
-    program.add([table for table, _ in tables])
+    program.add(tables)
     source = program.kernel(program.sums(planes), [length for _, length in tables])
     return Kernel(source, tuple(flat))
 
@@ -374,12 +375,12 @@ def _rows(table: Value) -> dict[tuple[str, int], dict[int, str]]:
     return rows
 
 
-def _add_row(table: int, base: str, row: dict[int, str], whole: bool) -> list[str]:
-    """Additions at known distances from one index, four at a time, or a whole row of three."""
+def _add_row(table: int, base: str, row: dict[int, str], whole: int) -> list[str]:
+    """Additions at known distances from one index, four at a time, or whole rows of 3 or 4."""
     lines = []
-    width, name = (3, "add_three") if whole else (4, "add")
+    width, name = (3, "add_three") if whole == 3 else (4, "add")
     for first in range(0, max(row) + 1, width):
-        distances = range(first, first + 3 if whole else min(first + 4, max(row) + 1))
+        distances = range(first, first + width if whole else min(first + width, max(row) + 1))
         values = ", ".join(row.get(distance, "Floats{}") for distance in distances)
         lines.append(f"{name}(tables[{table}], {base} + {first}, {{{values}}}, lanes);")
     return lines
