@@ -350,7 +350,7 @@ def layered(
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     vectors = frame.velocity if frame.path is None else frame.path
     # No component above half the floor: no vector above it.
-    anything = jnp.any(jnp.abs(vectors) > SPEED_FLOOR / 2)
+    anything = jnp.max(jnp.abs(vectors)) > SPEED_FLOOR / 2
     return cond_of_values(
         *(anything, functools.partial(_blur, settings), _keep),
         (frame, parameters, noise, anything),
