@@ -136,7 +136,9 @@ class Subject:
 GUERTIN = Subject("guertin2014", ("kappa", "gamma", "tau", "phi"))
 SLICES = Subject(
     "layered",
-    ("front_sharpness", "landing_tolerance", "own_tolerance", "surface_sharpness"),
+    # The surface sharpness changes the motion, which is an image: its derivative costs as much as
+    # that of every input.
+    ("front_sharpness", "landing_tolerance", "own_tolerance", "bend"),
     "layered, ",
 )
 
