@@ -25,9 +25,10 @@ from ..weights import SPEED_FLOOR
 USUAL_TILE = 8
 """Pixels. Six gain less than 0.1 dB on rendered scenes and double the work; twelve lose as much."""
 
-_LARGEST = 7680, 4320
-"""Up to this size frames share one scale of speeds, steps of 0.08 px at a radius of 160; of larger
-ones it is coarser. Within a step the first line counts as the fastest."""
+_LARGEST = 4096, 2304
+"""Up to this size frames share one scale of speeds, steps of 0.02 px at a radius of 160, within
+which the first line counts as the fastest; four times as coarse, seams of tiles show in the error.
+Of larger frames it is coarser, so that a part may choose otherwise where speeds nearly tie."""
 
 IN_FRONT = 0.05
 """Log depth from which on a line counts as in front of what it crosses."""
