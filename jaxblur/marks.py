@@ -28,7 +28,7 @@ def largest_marks(
     Args:
         sample: maps (sample indices (n,), local, tables) to (place, mark) pairs of (H, W, n)
             arrays of whole numbers, the places inside the table; elementwise but for reads of the
-            tables. Part of the compilation key.
+            tables.
         limit: from local to a (H, W, 1) plane, the number of samples. Marks of samples beyond it
             are 0, so that they may be left out.
         local: pytree of (H, W, 1) planes and scalars.

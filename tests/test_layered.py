@@ -224,6 +224,17 @@ def test_what_is_fast_elsewhere_does_not_change_which_lines_cross_a_tile():
     assert (part[:, :6] != whole[:, :6]).any()
 
 
+@pytest.mark.parametrize("unknown", [np.s_[0, 0], np.s_[-1, -1], np.s_[:20]])
+def test_vectors_that_are_nan_do_not_leave_the_frame_sharp(unknown):
+    generator = np.random.default_rng(0)
+    color = generator.random((40, 60, 3))
+    velocity = np.full((40, 60, 2), 6.0)
+    velocity[-20:][unknown] = np.nan
+    buffers = (jnp.asarray(array, jnp.float32) for array in (color, np.ones((40, 60)), velocity))
+    blurred = np.asarray(jaxblur.layered(jaxblur.Frame(*buffers), jaxblur.LayeredParameters()))
+    assert np.abs(blurred - color)[:10].mean() > 0.05
+
+
 def test_fine_tiles_divide_the_radius_where_a_divisor_is_near():
     assert [fine_tile(r) for r in (1, 6, 8, 20, 40, 37, 160)] == [1, 6, 8, 10, 8, 8, 8]
 

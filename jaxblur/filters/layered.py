@@ -349,8 +349,9 @@ def layered(
     frame = check_frame(frame)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     vectors = frame.velocity if frame.path is None else frame.path
-    # No component above half the floor: no vector above it.
-    anything = jnp.max(jnp.abs(vectors)) > SPEED_FLOOR / 2
+    # A sum of squares within the floor's: no vector above it. A sum is quick and keeps NaN; XLA's
+    # maximum on a CPU loses what it has found when it meets one.
+    anything = ~(jnp.sum(vectors * vectors) <= SPEED_FLOOR**2)
     return cond_of_values(
         *(anything, functools.partial(_blur, settings), _keep),
         (frame, parameters, noise, anything),

@@ -4,7 +4,7 @@ Every fine tile draws its fastest velocity along its own line, over all tiles th
 crosses. A tile keeps two of those that cross it: the fastest, and the one most unlike that. Lines
 are as long as the motion, so that blur may be longer than any tile, and what moves past without
 reaching a tile leaves it alone. Which tiles a line crosses, and what it counts for there, hangs on
-nothing that is farther away: a part of a frame gives what the frame does.
+nothing that is farther away: a part of a frame gives what the frame does (but see `_LARGEST`).
 """
 
 import functools
