@@ -50,8 +50,11 @@ def gather_samples(
         The results, (H, W, R). Differentiable as `sum_samples`.
 
     Raises:
-        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+        ValueError: the stages have both samples and a `rest`, or the backend is ``native`` and
+            there is no compiler, or no native form.
     """
+    if stages.rest is not None and stages.sample is not no_samples:
+        raise ValueError("`stages.rest` is for stages without samples; leave out one of both.")
     leaves, structure = jax.tree.flatten((local, tables))
     plan = Plan(stages.sample, stages.limit, count, backend, structure)
     return _gather(plan, stages, kept, [jnp.asarray(leaf) for leaf in leaves])

@@ -1,5 +1,6 @@
 """Load jax, once everything that does not need it has been checked."""
 
+import gc
 import logging
 import os
 
@@ -25,6 +26,8 @@ def start_jax(compile_cache: bool) -> None:
 
         from jaxblur.native import keep_kernels
 
+    # What was imported stays: the collector, busy while functions are traced, need not look at it.
+    gc.freeze()
     keep_kernels(compile_cache)
     if not compile_cache:
         return

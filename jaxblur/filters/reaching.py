@@ -4,7 +4,7 @@ Every fine tile draws its fastest velocity along its own line, over all tiles th
 crosses. A tile keeps two of those that cross it: the fastest, and the one most unlike that. Lines
 are as long as the motion, so that blur may be longer than any tile, and what moves past without
 reaching a tile leaves it alone. Which tiles a line crosses, and what it counts for there, hangs on
-nothing that is farther away: a part of a frame gives what the frame does (but see `_LARGEST`).
+nothing that is farther away: a part of a frame gives what the frame does.
 """
 
 import functools
@@ -25,10 +25,9 @@ from ..weights import SPEED_FLOOR
 USUAL_TILE = 8
 """Pixels. Six gain less than 0.1 dB on rendered scenes and double the work; twelve lose as much."""
 
-_LARGEST = 4096, 2304
-"""Up to this size frames share one scale of speeds, steps of 0.02 px at a radius of 160, within
-which the first line counts as the fastest; four times as coarse, seams of tiles show in the error.
-Of larger frames it is coarser, so that a part may choose otherwise where speeds nearly tie."""
+_LEVELS = 256
+"""Steps of a score to the pixel, if the radius leaves bits for so many: up to 400 it does, and at
+1000 steps are a sixteenth of a pixel. Of lines within a step the first counts as the fastest."""
 
 IN_FRONT = 0.05
 """Log depth from which on a line counts as in front of what it crosses."""
@@ -86,7 +85,7 @@ def reaching_pixels(
     def highest(score, tables):
         marks = functools.partial(_marks, score, pixel.shape, radius)
         best = largest_marks(marks, _steps, lines, tables, pixel.size, backend)
-        return jnp.where(best > 0, -best % pixel.size, -1)
+        return _line_of(best, pixel.shape, radius)
 
     tables = {"farthest": farthest}
     first = highest(_score_first, tables)
@@ -130,31 +129,37 @@ def _compare_pixels(image, radius, local, tables, _):
     nothing = local["nothing"]
     best = nothing - 1, nothing, nothing - jnp.inf
     # Beyond the edge the last pixels come again, which changes nothing.
-    for k, (row, column) in enumerate(itertools.product(rows, columns)):
-        index = row * width + column
-        best = _compare_pixel(radius, best, jnp.asarray(k, nothing.dtype), index, tables["motion"])
+    for k, row in enumerate(rows):
+        first = jnp.asarray(k * size, nothing.dtype)
+        best = _compare_row(radius, best, first, row * width, columns, tables["motion"])
     return list(best[1:])
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _compare_pixel(radius, best, k, index, motion):
-    """Greatest squared speed, its number and greatest log depth, with a pixel more.
+def _compare_row(radius, best, first, start, columns, motion):
+    """Greatest squared speed, its number and greatest log depth, with a row of pixels more.
 
-    A function of its own so that JAX traces it once, and not for each of the pixels.
+    A function of its own so that JAX traces it once, and not for each of the rows.
     """
     fastest, number, farthest = best
-    x, y, depth = read_row(motion, index, 4, 3)
-    speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
-    number = jnp.where(speed > fastest, k, number)
-    fastest = jnp.where(speed > fastest, speed, fastest)
-    return fastest, number, jnp.where(depth > farthest, depth, farthest)
+    for k, column in enumerate(columns):
+        x, y, depth = read_row(motion, start + column, 4, 3)
+        speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
+        number = jnp.where(speed > fastest, first + k, number)
+        fastest = jnp.where(speed > fastest, speed, fastest)
+        farthest = jnp.where(depth > farthest, depth, farthest)
+    return fastest, number, farthest
 
 
-def _levels(size: int, count: int) -> int:
-    """Steps of a score from 0 to 1: 31 bits hold a step from 0 to 2 and the number of a line."""
-    width, height = _LARGEST
-    usual = -(-width // size) * -(-height // size)
-    return (2**31 - 1) // max(usual, count) // 2 - 1
+def _reach(radius: int) -> int:
+    """Tiles between a line's own and the farthest that it crosses, up, down, or aside, at most."""
+    return -(-radius // fine_tile(radius)) + 1
+
+
+def _levels(radius: int) -> int:
+    """Steps of a score from 0 to 1: 31 bits hold a step from 0 to 2 and where the line is from."""
+    places = (2 * _reach(radius) + 1) ** 2
+    return min(_LEVELS * radius, (2**31 - 1) // places // 2 - 1)
 
 
 def _lines(pixel, motion, radius):
@@ -208,13 +213,14 @@ def _score_second(radius, line, tables, tile):
 def _marks(score, grid, radius, step, line, tables):
     """The tiles under a line's four corners, both ways, and the marks that it leaves there.
 
-    A mark tells the score and the line; 0 stands for none. Corners are as wide apart as a tile.
+    A mark tells the score and how far up and to the left the line is from, so that of equal ones
+    the first line leaves the largest; 0 stands for none. Corners are as wide apart as a tile.
     """
-    (rows, columns), size = grid, fine_tile(radius)
-    levels, step = _levels(size, rows * columns), step.astype(line["x"].dtype)
+    (rows, columns), size, reach = grid, fine_tile(radius), _reach(radius)
+    span, levels = 2 * reach + 1, _levels(radius)
+    step = step.astype(line["x"].dtype)
     own_row, own_column = (lax.broadcasted_iota(jnp.int32, (*grid, 1), axis) for axis in (0, 1))
-    # Of equal ones the first line leaves the largest mark.
-    last = (rows * columns) - (own_row * columns + own_column)
+    from_own = (reach - own_row) * span + (reach - own_column) + 1
     half = size / 2 - _INSET
 
     # Traced once, for eight uses.
@@ -223,8 +229,9 @@ def _marks(score, grid, radius, step, line, tables):
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         tile = jnp.where(inside, row * columns + column, 0).astype(jnp.int32)
         level = jnp.floor(score(line, tables, tile) * levels).astype(jnp.int32)
+        place = (row * span + column).astype(jnp.int32) + from_own
         counts = inside & (step < line["steps"]) & (level >= 0)
-        return tile, jnp.where(counts, level * (rows * columns) + last, 0)
+        return tile, jnp.where(counts, level * span**2 + place, 0)
 
     marks = []
     for way in (step, -step):
@@ -236,3 +243,12 @@ def _marks(score, grid, radius, step, line, tables):
         pairs = itertools.product(rows_there, columns_there)
         marks += [mark(row, column, line, tables) for row, column in pairs]
     return tuple(marks)
+
+
+def _line_of(marks: Int[Array, " tiles"], grid: tuple[int, int], radius: int) -> Array:
+    """Number of the line that left each mark of `_marks`; -1 where there is none."""
+    reach = _reach(radius)
+    up, left = jnp.divmod((marks - 1) % (2 * reach + 1) ** 2, 2 * reach + 1)
+    row, column = jnp.divmod(jnp.arange(marks.size), grid[1])
+    line = (row + reach - up) * grid[1] + column + reach - left
+    return jnp.where(marks > 0, line, -1)

@@ -176,6 +176,9 @@ static inline Ints floor_to_ints(Floats a) {
 static inline Floats read(const float* table, Ints index) {
   return (Floats)_mm512_i32gather_ps((__m512i)index, table, 4);
 }
+static inline Ints read(const int32_t* table, Ints index) {
+  return (Ints)_mm512_i32gather_epi32((__m512i)index, table, 4);
+}
 /* Two neighbors in memory at once: half of the loads. */
 static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
   const double* pairs = (const double*)table;
@@ -192,10 +195,18 @@ static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a
 static inline Floats read(const float* table, Ints index) {
   return (Floats)_mm256_i32gather_ps(table, (__m256i)index, 4);
 }
+static inline Ints read(const int32_t* table, Ints index) {
+  return (Ints)_mm256_i32gather_epi32(table, (__m256i)index, 4);
+}
 #else
 LANE_BY_LANE(floorf)
 static inline Floats read(const float* table, Ints index) {
   Floats result;
+  for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
+  return result;
+}
+static inline Ints read(const int32_t* table, Ints index) {
+  Ints result;
   for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
   return result;
 }
@@ -295,7 +306,7 @@ static inline void add_three(float* table, Ints index, const Floats (&values)[3]
 /* Keeps the larger of what is there and the lane's own. Lanes may meet at one place, so they come
    in turn. */
 static inline void keep_larger(int32_t* table, Ints places, Ints marks, int lanes) {
-  const Ints there = (Ints)read((const float*)table, places);
+  const Ints there = read(table, places);
   uint32_t larger = lanes_of(marks > there);
   if (larger == 0) return;
   int32_t place[LANES], mark[LANES];
