@@ -360,9 +360,34 @@ def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_pat
     monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(build, "_keeps_kernels", True)
+    monkeypatch.setattr(build, "_failure", None)
     with pytest.raises(build.BuildFailed, match="no such thing as vectors"):
         build.register(tiny_program(101))
     assert list((tmp_path / "jaxblur" / "kernels").iterdir()) == []
+
+
+def test_a_compiler_that_fails_is_asked_once_and_warned_of_once(monkeypatch, tmp_path, caplog):
+    broken = tmp_path / "c++"
+    broken.write_text(
+        "#!/bin/sh\necho x >> $0.calls\necho 'kernel.cc: In function' >&2\n"
+        "echo 'kernel.cc:1: error: no such name' >&2\nexit 1\n"
+    )
+    broken.chmod(0o755)
+    monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    monkeypatch.setattr(build, "_failure", None)
+    ours = sum_of(OPERATIONS["powers"], backend="auto")
+    np.testing.assert_array_equal(ours, sum_of(OPERATIONS["powers"], backend="xla"))
+    jax.clear_caches()
+    sum_of(OPERATIONS["powers"], backend="auto")
+    calls = (tmp_path / "c++.calls").read_text().splitlines()
+    assert len(calls) == len(build.MACHINE_FLAGS)
+    (warning,) = [record for record in caplog.records if record.levelname == "WARNING"]
+    words = warning.getMessage()
+    assert words.endswith("error: no such name; XLA does its work, several times as slow")
+    with pytest.raises(ValueError, match="'native', but .*error: no such name; use 'auto' or"):
+        sum_of(OPERATIONS["powers"])
 
 
 def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path):

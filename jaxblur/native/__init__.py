@@ -1,5 +1,6 @@
 """Gathers along lines as machine code, where a C++ compiler is at hand."""
 
+import functools
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -125,6 +126,7 @@ def _build(emit: Callable[[], Kernel], backend: str) -> Callable[..., tuple[jax.
     except Unsupported as error:
         return _refuse(backend, f"the samples use {error}")
     except BuildFailed as error:
+        _warn_once(f"{error}; XLA does its work, several times as slow")
         return _refuse(backend, str(error))
     return _caller(target, kernel)
 
@@ -134,6 +136,12 @@ def _refuse(backend: str, reason: str) -> None:
     if backend == "native":
         raise ValueError(f"`backend` is 'native', but {reason}; use 'auto' or 'xla'.")
     LOG.info("no native kernel: %s", reason)
+
+
+@functools.cache
+def _warn_once(message: str) -> None:
+    """A compiler that is there and fails is a fault, unlike one that is missing."""
+    LOG.warning("%s", message)
 
 
 def _caller(target: str, kernel: Kernel) -> Callable[..., Any]:

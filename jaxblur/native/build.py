@@ -30,6 +30,8 @@ MOST_KERNELS = 300
 
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
+_failure: "BuildFailed | None" = None
+"""Why the compiler refused a kernel of this process."""
 
 
 class BuildFailed(Exception):
@@ -91,8 +93,11 @@ def _compile(source: str, library: pathlib.Path) -> None:
     """Compile beside the target, then rename: another process never sees half a library.
 
     Raises:
-        BuildFailed: with the compiler's words.
+        BuildFailed: with the compiler's words; what it refuses once it refuses again.
     """
+    global _failure
+    if _failure is not None:
+        raise _failure
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         program = pathlib.Path(folder, "kernel.cc")
         program.write_text(source, encoding="utf-8")
@@ -107,7 +112,15 @@ def _compile(source: str, library: pathlib.Path) -> None:
                 _forget_old(library.parent)
                 return
             words = done.stderr
-    raise BuildFailed(f"the C++ compiler refused a kernel:\n{words}")
+    error = _first_error(words)
+    _failure = BuildFailed(f"the C++ compiler {find_compiler()} refused a kernel: {error}")
+    raise _failure
+
+
+def _first_error(words: str) -> str:
+    """The line that matters of what a compiler says."""
+    lines = words.strip().splitlines() or ["it says nothing"]
+    return next((line for line in lines if "error" in line), lines[0])
 
 
 def _forget_old(folder: pathlib.Path) -> None:
@@ -135,7 +148,7 @@ def register(source: str) -> str:
         Name of the target for `jax.ffi.ffi_call`.
 
     Raises:
-        BuildFailed: the compiler refused it, or what it made cannot be loaded.
+        BuildFailed: the compiler refused it, or a former one, or what it made cannot be loaded.
     """
     with _ONE_AT_A_TIME:
         return _register(source)

@@ -1,14 +1,12 @@
 /* Sums over the samples of every pixel, or the largest of what they leave at places of a table.
    What stands between two @ is filled in by emit.py. */
-#include <pthread.h>
-#include <sched.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <cmath>
+#include <condition_variable>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <mutex>
 #ifdef __AVX2__
 #include <immintrin.h>
 #endif
@@ -31,11 +29,10 @@ enum {
   LANES = 8,
 #endif
   STRIP = TABLES ? 256 : WIDTH, /* pixels of a row at a time: what taps add to stays in the cache */
-  STRIPS = (WIDTH + STRIP - 1) / STRIP,
-  ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time */
-  PARTS_OF_STRIP = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE,
-  MOST_THREADS = 64,
-  MOST_THREADS_WITH_TABLES = 8 /* each has tables of its own */
+  ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time: a piece */
+  PIECES_OF_STRIP = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE,
+  PIECES = (WIDTH + STRIP - 1) / STRIP * PIECES_OF_STRIP,
+  MOST_PARTS_WITH_TABLES = 8 /* each has tables of its own */
 };
 
 typedef @ELEMENT@ Element; /* of such a table */
@@ -324,13 +321,18 @@ static inline int32_t joined(int32_t a, int32_t b) { return max_int(a, b); }
 static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 static const bool ROWS_OF_THREE[] = {@ROWS_OF_THREE@}; /* with the room of four while added to */
 @CONSTANTS@
+/* A call. Threads take its parts in turn, so that it waits for none that has not begun. */
 struct Job {
   const float* kept;
   void* const* arguments;
   float* results[RESULTS + 1];
   Element* tables[TABLES + 1];
-  int threads;
-  std::atomic<int> next_part;
+  Element* tables_of_part[MOST_PARTS_WITH_TABLES][TABLES + 1];
+  int parts;
+  std::atomic<int> next_part{0}, users{1};
+  std::mutex mutex;
+  std::condition_variable finished;
+  int parts_done = 0;
 };
 
 /* Results of the lanes that move; what is kept by the others. */
@@ -397,89 +399,115 @@ static void sum_row(const Job* job, Element* const* tables, const int row, const
   }
 }
 
-/* What one thread does. Taps add to tables of the thread's own, and to the same rows in every
-   run, so that the same input gives the same bits. */
-struct Share {
-  Job* job;
-  int number;
-  Element* tables[TABLES + 1];
-};
+/* Some rows of one strip. */
+static void sum_piece(const Job* job, Element* const* tables, int piece) {
+  const int from = piece / PIECES_OF_STRIP * STRIP;
+  const int row = piece % PIECES_OF_STRIP * ROWS_AT_ONCE;
+  const int until = from + STRIP < WIDTH ? from + STRIP : WIDTH;
+  const int end = row + ROWS_AT_ONCE < HEIGHT ? row + ROWS_AT_ONCE : HEIGHT;
+  for (int k = row; k < end; ++k) sum_row(job, tables, k, from, until);
+}
 
-static void* work(void* argument) {
-  Share* share = static_cast<Share*>(argument);
-  Job* job = share->job;
-  int part = TABLES ? share->number : job->next_part.fetch_add(1);
-  while (part < STRIPS * PARTS_OF_STRIP) {
-    const int from = part / PARTS_OF_STRIP * STRIP, row = part % PARTS_OF_STRIP * ROWS_AT_ONCE;
-    const int until = from + STRIP < WIDTH ? from + STRIP : WIDTH;
-    const int end = row + ROWS_AT_ONCE < HEIGHT ? row + ROWS_AT_ONCE : HEIGHT;
-    for (int k = row; k < end; ++k) sum_row(job, share->tables, k, from, until);
-    part = TABLES ? part + job->threads : job->next_part.fetch_add(1);
+/* A part is one piece. Where taps add to tables it has tables of its own and every so many pieces,
+   the same in every run, so that the same input gives the same bits. */
+static void sum_part(const Job* job, int part) {
+  if (TABLES == 0) return sum_piece(job, job->tables, part);
+  for (int piece = part; piece < PIECES; piece += job->parts)
+    sum_piece(job, job->tables_of_part[part], piece);
+}
+
+/* What a thread does; the last one that knows the job removes it. */
+static void work(void* argument) {
+  Job* job = static_cast<Job*>(argument);
+  int done = 0;
+  for (int part = job->next_part++; part < job->parts; part = job->next_part++, ++done)
+    sum_part(job, part);
+  if (done) {
+    std::lock_guard<std::mutex> lock(job->mutex);
+    job->parts_done += done;
+    if (job->parts_done == job->parts) job->finished.notify_one();
   }
-  return nullptr;
+  if (--job->users == 0) delete job;
 }
 
-static int count_threads(void) {
-#ifdef __linux__
-  cpu_set_t cores;
-  const int count = sched_getaffinity(0, sizeof cores, &cores) == 0 ? CPU_COUNT(&cores) : 1;
-#else
-  const int count = (int)sysconf(_SC_NPROCESSORS_ONLN);
-#endif
-  const int useful = STRIPS * PARTS_OF_STRIP;
-  const int least = count < useful ? count : useful;
-  const int most = TABLES ? MOST_THREADS_WITH_TABLES : MOST_THREADS;
-  return least < most ? least : most;
+/* Whether XLA refused something; its error is thrown away. */
+static bool refused(const XLA_FFI_Api* api, XLA_FFI_Error* error) {
+  if (!error) return false;
+  XLA_FFI_Error_Destroy_Args arguments = {};
+  arguments.struct_size = XLA_FFI_Error_Destroy_Args_STRUCT_SIZE;
+  arguments.error = error;
+  api->XLA_FFI_Error_Destroy(&arguments);
+  return true;
 }
 
-/* Tables of every thread; the first has the result's own, but for rows of three. Calloc hands out
+/* Threads of XLA's pool that may help; none without a pool. */
+static int count_helpers(XLA_FFI_CallFrame* frame) {
+  int64_t threads = 1;
+  XLA_FFI_ThreadPool_NumThreads_Args count = {};
+  count.struct_size = XLA_FFI_ThreadPool_NumThreads_Args_STRUCT_SIZE;
+  count.ctx = frame->ctx;
+  count.num_threads = &threads;
+  if (refused(frame->api, frame->api->XLA_FFI_ThreadPool_NumThreads(&count))) return 0;
+  return (int)threads - 1;
+}
+
+/* Tables of every part; the first has the result's own, but for rows of three. Calloc hands out
    pages that cost nothing until a tap touches them. */
-static bool make_tables(Job* job, Share* shares) {
+static bool make_tables(Job* job) {
   bool enough = true;
-  for (int t = 0; t < job->threads; ++t) {
-    shares[t] = {job, t, {}};
+  for (int part = 0; part < job->parts && TABLES; ++part) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = ROWS_OF_THREE[k] ? TABLE_SIZES[k] / 3 * 4 : TABLE_SIZES[k];
-      const bool own = t || ROWS_OF_THREE[k];
-      shares[t].tables[k] = own ? (Element*)calloc(size, sizeof(Element)) : job->tables[k];
-      enough = enough && shares[t].tables[k];
+      const bool own = part || ROWS_OF_THREE[k];
+      Element* table = own ? (Element*)calloc(size, sizeof(Element)) : job->tables[k];
+      job->tables_of_part[part][k] = table;
+      enough = enough && table;
     }
   }
   for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, TABLE_SIZES[k] * sizeof(Element));
   return enough;
 }
 
-static void join_tables(Job* job, Share* shares, bool enough) {
-  for (int t = 0; t < job->threads; ++t) {
+static void join_tables(Job* job, bool enough) {
+  for (int part = 0; part < job->parts && TABLES; ++part) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = enough ? TABLE_SIZES[k] : 0;
-      Element *table = job->tables[k], *part = shares[t].tables[k];
-      if (part == table) continue;
+      Element *table = job->tables[k], *more = job->tables_of_part[part][k];
+      if (more == table) continue;
       if (ROWS_OF_THREE[k]) {
         for (int64_t p = 0; p < size / 3; ++p)
           for (int c = 0; c < 3; ++c)
-            table[3 * p + c] = joined(table[3 * p + c], part[4 * p + c]);
+            table[3 * p + c] = joined(table[3 * p + c], more[4 * p + c]);
       } else {
-        for (int64_t p = 0; p < size; ++p) table[p] = joined(table[p], part[p]);
+        for (int64_t p = 0; p < size; ++p) table[p] = joined(table[p], more[p]);
       }
-      free(part);
+      free(more);
     }
   }
 }
 
-static bool run(Job* job) {
-  Share shares[MOST_THREADS];
-  pthread_t threads[MOST_THREADS];
-  bool started[MOST_THREADS] = {};
-  job->threads = count_threads();
-  const bool enough = make_tables(job, shares);
-  for (int t = 1; enough && t < job->threads; ++t)
-    started[t] = pthread_create(&threads[t], nullptr, work, &shares[t]) == 0;
-  for (int t = 0; enough && t < job->threads; ++t) {
-    if (started[t]) pthread_join(threads[t], nullptr);
-    else work(&shares[t]);
+static bool run(Job* job, XLA_FFI_CallFrame* frame) {
+  const int helpers = count_helpers(frame);
+  const int most = TABLES ? MOST_PARTS_WITH_TABLES : PIECES;
+  job->parts = TABLES && helpers + 1 < most ? helpers + 1 : most;
+  const bool enough = make_tables(job);
+  if (enough) {
+    ++job->users; /* Who waits for it, and who works. */
+    for (int t = 0; t < helpers && t + 1 < job->parts; ++t) {
+      XLA_FFI_ThreadPool_Schedule_Args task = {};
+      task.struct_size = XLA_FFI_ThreadPool_Schedule_Args_STRUCT_SIZE;
+      task.ctx = frame->ctx;
+      task.task = work;
+      task.data = job;
+      ++job->users;
+      if (refused(frame->api, frame->api->XLA_FFI_ThreadPool_Schedule(&task))) --job->users;
+    }
+    work(job);
+    std::unique_lock<std::mutex> lock(job->mutex);
+    job->finished.wait(lock, [job] { return job->parts_done == job->parts; });
   }
-  join_tables(job, shares, enough);
+  join_tables(job, enough);
+  if (--job->users == 0) delete job;
   return enough;
 }
 
@@ -492,7 +520,7 @@ static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
 }
 
 extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
-  XLA_FFI_Extension_Base* extension = frame->extension_start;
+  auto* extension = frame->extension_start;
   if (extension && extension->type == XLA_FFI_Extension_Metadata) {
     XLA_FFI_Metadata* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
     metadata->api_version.major_version = XLA_FFI_API_MAJOR;
@@ -502,14 +530,13 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   void* arguments[ARGUMENTS + 1];
   for (int k = 0; k < ARGUMENTS; ++k)
     arguments[k] = ((XLA_FFI_Buffer*)frame->args.args[k])->data;
-  Job job;
-  job.kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
-  job.arguments = arguments;
-  job.next_part = 0;
+  Job* job = new Job;
+  job->kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
+  job->arguments = arguments;
   const int buffers = KEPT ? 1 : RESULTS;
   for (int k = 0; k < buffers; ++k)
-    job.results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
+    job->results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
   for (int k = 0; k < TABLES; ++k)
-    job.tables[k] = (Element*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
-  return run(&job) ? nullptr : out_of_memory(frame->api);
+    job->tables[k] = (Element*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
+  return run(job, frame) ? nullptr : out_of_memory(frame->api);
 }
