@@ -166,6 +166,25 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
     assert np.any(np.abs(moved) > 1e-3) and np.any(np.abs(ours[0].color) > 1e-3)
 
 
+@pytest.mark.parametrize("channels", [1, 2, 5])
+@pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012", "pixel_velocity"])
+def test_any_number_of_channels_has_a_native_form(name, channels):
+    frame = make_frame((5, 19))
+    color = jnp.tile(frame.color, 2)[..., :channels]
+    parameters = parameters_of(name)
+
+    def value_and_derivative(blur):
+        def loss(color):
+            result = blur(dataclasses.replace(frame, color=color), parameters)
+            return jnp.sum(result**2), result
+
+        return jax.grad(loss, has_aux=True)(color)
+
+    ours, theirs = map(value_and_derivative, runs(name, fetch="bilinear"))
+    assert ours[1].shape == (5, 19, channels)
+    assert_trees_close(ours, theirs, 1e-5)
+
+
 @pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012"])
 def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
     monkeypatch.delattr(gathers, "_by_stages")

@@ -215,6 +215,8 @@ class Writer:
             return [self._position(parameters)]
         if name == "slice" and inputs[0].channels:
             return [self._channel(parameters, inputs[0])]
+        if name == "slice" and equation.outvars[0].aval.shape == equation.invars[0].aval.shape:
+            return inputs
         dtype = equation.outvars[0].aval.dtype
         if name == "convert_element_type" and inputs[0].number is not None:
             return [literal(inputs[0].number.astype(dtype))]
