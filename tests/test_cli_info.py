@@ -185,3 +185,18 @@ def test_vectors_refuses_pairs_that_do_not_fit(tmp_path):
     still = plain_frame() | {f"velocity.{axis}": np.zeros((4, 6), np.float32) for axis in "XY"}
     path = write_single(tmp_path / "still.exr", still)
     assert "still.exr: nothing moves" in refused("vectors", path, "--next", path)
+
+
+def test_vectors_of_a_motion_along_one_axis_are_inconclusive(tmp_path):
+    wide = np.random.default_rng(5).random((40, 60)).astype(np.float32)
+    now, following = wide[:, 6:54], wide[:, 3:51]
+    motion = {"a.x": np.full_like(now, 3), "a.y": np.zeros_like(now)}
+    first = write_single(tmp_path / "1.exr", dict.fromkeys("RGB", now) | motion)
+    second = write_single(tmp_path / "2.exr", dict.fromkeys("RGB", following))
+    given = ("vectors", first, "--next", second, "--velocity-channels", "a.x,a.y")
+    outcome = run(*given)
+    assert outcome.status == 1
+    assert "inconclusive: these frames do not tell the sign of y; give two in" in outcome.out
+    outcome = run(*given, "--json")
+    assert outcome.status == 1
+    assert json.loads(outcome.out)["undecided"] == ["the sign of y"]

@@ -101,4 +101,12 @@ def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):
     scores = {row[0]: float(row[1]) for row in rows if row[0] in ("sharp", "layered")}
     assert scores["layered"] > scores["sharp"] + 5
     assert exr.inspect(folder / "blurred.exr").parts[0].attributes["jaxblur:filter"]
-    assert run(*given).status == 0, "a second demo replaces the first"
+    assert "sharp.exr: exists; pass --overwrite" in refused(*given)
+    assert run(*given, "--overwrite").status == 0
+
+
+def test_demo_leaves_files_of_the_user_alone(tmp_path):
+    mine = tmp_path / "truth.png"
+    mine.write_text("mine")
+    assert "truth.png: exists; pass --overwrite" in refused("demo", "-o", tmp_path, *SMALL)
+    assert mine.read_text() == "mine" and list(tmp_path.iterdir()) == [mine]

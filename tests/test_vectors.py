@@ -304,6 +304,37 @@ def test_ranking_finds_the_convention_of_a_pan(raw, expected, preset):
     assert ranking.moving_share == 1
 
 
+@pytest.mark.parametrize(
+    ("shift", "undecided"), [((6, 0), ("the sign of y",)), ((0, -5), ("the sign of x",))]
+)
+def test_a_motion_along_one_axis_does_not_tell_the_sign_of_the_other(shift, undecided):
+    now, following = pan(shift)
+    vector = np.broadcast_to(np.float32(shift), (40, 60, 2)).copy()
+    ranking = vectors.rank_conventions(now, following, vector)
+    assert ranking.candidates[0].error < 0.5 * ranking.still_error
+    assert ranking.undecided == undecided
+    now, following = pan((6, -4))
+    vector = np.broadcast_to(np.float32((6, -4)), (40, 60, 2)).copy()
+    assert vectors.rank_conventions(now, following, vector).undecided == ()
+
+
+def test_a_candidate_that_leads_out_of_the_picture_explains_nothing():
+    # A disk on black: whoever leads it out of the picture finds black there, and may not win.
+    rows, columns = np.indices((40, 60))
+    disks = [np.hypot(rows - 20 - 3 * k, columns - 50 - 6 * k) < 8 for k in (0, 1)]
+    now, following = (np.repeat(disk[..., None].astype(float), 3, axis=-1) for disk in disks)
+    dark = 0.01 * np.random.default_rng(1).random((40, 60, 3))
+    vector = np.where(disks[0][..., None], np.float32((6, 3)), np.float32(0))
+    ranking = vectors.rank_conventions(1e-3 * now + dark, 1e-3 * following + dark, vector)
+    best = ranking.candidates[0]
+    outside = [c for c in ranking.candidates if c.unit != "px"]
+    assert all(c.error == pytest.approx(ranking.still_error) for c in outside)
+    ranking = vectors.rank_conventions(now, following, vector)
+    best = ranking.candidates[0]
+    assert (best.sign_x, best.sign_y, best.unit, best.span) == (1, 1, "px", 1.0)
+    assert ranking.undecided == ()
+
+
 def test_ranking_finds_blender_vectors_in_a_rendered_pair():
     guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
     raw = exr.read_channels(CUBE, guess.channels)

@@ -1,5 +1,6 @@
 """Load jax, once everything that does not need it has been checked."""
 
+import atexit
 import gc
 import logging
 import os
@@ -28,6 +29,7 @@ def start_jax(compile_cache: bool) -> None:
 
     # What was imported stays: the collector, busy while functions are traced, need not look at it.
     gc.freeze()
+    atexit.register(gc.unfreeze)
     keep_kernels(compile_cache)
     if not compile_cache:
         return

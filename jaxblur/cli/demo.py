@@ -10,7 +10,7 @@ import jaxblur
 from jaxblur.settings import Settings
 
 from . import published
-from .arguments import add_command, add_compute_options, check_folder, file_path
+from .arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import apply_filter
@@ -35,8 +35,9 @@ def add_parser(commands: Any) -> None:
         type=file_path,
         default=pathlib.Path("jaxblur_demo"),
         metavar="DIR",
-        help="folder to write to, replacing what an earlier demo wrote (default %(default)s)",
+        help="folder to write to (default %(default)s)",
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     parser.add_argument(
         "--scene", default="gears", metavar="NAME", help="see `jaxblur scene --list`"
     )
@@ -49,11 +50,15 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write frame, result and truth; see `add_parser`."""
     from jaxblur import exr
+    from jaxblur.report import MANIFEST
 
     folder, name = arguments.output, published.DEFAULT_FILTER
     check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
+    result, page = folder / "result", folder / "report.html"
+    outputs = [*images.values(), *pngs.values(), page, result / MANIFEST]
+    check_outputs(outputs, arguments.overwrite)
     height, width = arguments.size
     LOG.info("%s at %dx%d, sharp and blurred by its truth", arguments.scene, width, height)
     LOG.info("the first run compiles the scene and the filter, which takes most of its time")
@@ -83,20 +88,18 @@ def run(arguments: argparse.Namespace) -> int:
         exr.write_image(pngs[kind], image)
         print_line(f"{images[kind]}, {pngs[kind].name}")
     print_table(SCORE_COLUMNS, score_rows(scores({"sharp": sharp, name: blurred}, truth)))
-    page = _write_page(folder, arguments.scene, truth, {"sharp": sharp, name: blurred})
+    _write_page(result, page, arguments.scene, truth, {"sharp": sharp, name: blurred})
     print_line(f"{page}: to compare them in a browser")
     print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
     return 0
 
 
 def _write_page(
-    folder: pathlib.Path, scene: str, truth: Any, images: Mapping[str, Any]
-) -> pathlib.Path:
+    result: pathlib.Path, page: pathlib.Path, scene: str, truth: Any, images: Mapping[str, Any]
+) -> None:
     """Leave a result and its page."""
     from jaxblur.report import Picture, Shot, write_result
 
     pictures = [Picture(name, image) for name, image in images.items()]
-    write_result(folder / "result", "A demo of jaxblur", [Shot(scene, truth, pictures)])
-    page = folder / "report.html"
-    write_page(folder / "result", page)
-    return page
+    write_result(result, "A demo of jaxblur", [Shot(scene, truth, pictures)])
+    write_page(result, page)

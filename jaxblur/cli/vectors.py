@@ -26,7 +26,10 @@ def add_parser(commands: Any) -> None:
         "Rank sign, unit and span of motion vectors by warping the next frame back.",
         run,
     )
-    parser.epilog = "Exit status 1: inconclusive, no candidate brings the frames together."
+    parser.epilog = (
+        "Exit status 1: inconclusive; no candidate brings the frames together, or several do so "
+        "equally well."
+    )
     parser.add_argument("file", type=file_path, help="frame with motion vectors")
     parser.add_argument(
         "--next", type=file_path, required=True, metavar="FILE", help="the following frame"
@@ -58,12 +61,13 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Rank the conventions of one pair of frames; see `add_parser`."""
     ranking = _rank(arguments)
-    conclusive = ranking.candidates[0].error <= EXPLAINED * ranking.still_error
+    explained = ranking.candidates[0].error <= EXPLAINED * ranking.still_error
+    undecided = ranking.undecided
     if arguments.json:
-        print(json.dumps(dataclasses.asdict(ranking), indent=2))
+        print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
     else:
-        _print_ranking(ranking, arguments.top, conclusive)
-    return 0 if conclusive else 1
+        _print_ranking(ranking, arguments.top, explained)
+    return 0 if explained and not undecided else 1
 
 
 def _rank(arguments: argparse.Namespace) -> Any:
@@ -106,7 +110,7 @@ def _size(image: Any) -> str:
     return f"{width}x{height} pixels and {channels} channels"
 
 
-def _print_ranking(ranking: Any, count: int, conclusive: bool) -> None:
+def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
     best = ranking.candidates[0]
     print_line(f"{100 * ranking.moving_share:.1f} % of the pixels move")
     print_table(
@@ -127,7 +131,12 @@ def _print_ranking(ranking: Any, count: int, conclusive: bool) -> None:
         ],
     )
     print_line(f"error if nothing moved: {ranking.still_error:.5f}")
-    if conclusive:
+    if explained and ranking.undecided:
+        print_line(
+            f"inconclusive: these frames do not tell {' and '.join(ranking.undecided)}; give two "
+            "in which things move both across and up or down"
+        )
+    elif explained:
         print_line(
             f"best: forward = ({best.sign_x:+d} x, {best.sign_y:+d} y) in {best.unit} over "
             f"{best.span:g} frames, y down; preset {' or '.join(best.presets) or 'unknown'}"

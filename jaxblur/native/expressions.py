@@ -213,10 +213,8 @@ class Writer:
             return [self._sum(equation, *inputs)]
         if name == "iota":
             return [self._position(parameters)]
-        if name == "slice" and inputs[0].channels:
+        if name == "slice":
             return [self._channel(parameters, inputs[0])]
-        if name == "slice" and equation.outvars[0].aval.shape == equation.invars[0].aval.shape:
-            return inputs
         dtype = equation.outvars[0].aval.dtype
         if name == "convert_element_type" and inputs[0].number is not None:
             return [literal(inputs[0].number.astype(dtype))]
@@ -281,8 +279,10 @@ class Writer:
     def _channel(self, parameters: Any, image: Value) -> Value:
         """A channel of an image, at the pixel itself."""
         (*corner, channel), last = parameters["start_indices"], parameters["limit_indices"]
-        if any(corner) or last[2] != channel + 1:
+        if any(corner) or len(last) != 3 or last[2] != channel + 1 or image.table:
             raise Unsupported("a slice other than of one channel")
+        if not image.channels:
+            return image
         return self._define_read(image.code, f"own * {image.channels}", channel, Level.PIXEL)
 
     def _position(self, parameters: Any) -> Value:

@@ -22,6 +22,15 @@ UNITS: dict[str, Scale] = {"px": "pixels", "uv": "size", "ndc": "half-size"}
 SAMPLE_LIMIT = 40_000
 # Occlusion and new highlights make a few differences huge; one pixel may not count for more.
 ERROR_CAP = 0.5
+# Candidates whose errors differ by less than this share of what the best explains are as good.
+TIE = 0.02
+_MEANING = {
+    "sign_x": "the sign of x",
+    "sign_y": "the sign of y",
+    "unit": "the unit",
+    "offset": "the offset",
+    "span": "the span",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +44,8 @@ class Candidate:
         unit: "px", "uv" (fraction of the picture) or "ndc" (-1..1 over the picture).
         offset: raw value of no motion.
         span: length of time the vectors cover, frames: 1, or the exposure.
-        error: mean absolute difference on moving pixels, after x/(1+x); lower is better.
+        error: mean absolute difference on moving pixels, after x/(1+x); lower is better. Where the
+            candidate leads out of the picture, that if nothing moved: it explains nothing.
         presets: presets that read such channels just so.
     """
 
@@ -63,6 +73,18 @@ class Ranking:
     candidates: tuple[Candidate, ...]
     still_error: float
     moving_share: float
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """What these frames do not tell: where candidates for the same channels are as good."""
+        best = self.candidates[0]
+        most = best.error + TIE * max(self.still_error - best.error, 0)
+        as_good = [c for c in self.candidates if c.channels == best.channels and c.error <= most]
+        return tuple(
+            words
+            for name, words in _MEANING.items()
+            if len({getattr(candidate, name) for candidate in as_good}) > 1
+        )
 
 
 def rank_conventions(
@@ -95,6 +117,7 @@ def rank_conventions(
     names = _checked(frame_color, next_color, raw_vectors, channels, shutter)
     rows, columns, share = _moving(raw_vectors)
     now, following = _compress(frame_color)[rows, columns], _compress(next_color)
+    still = _differences(now, following, rows, columns, np.zeros((len(rows), 2)))
     size = size or (frame_color.shape[0], frame_color.shape[1])
     candidates = []
     for options in _options(raw_vectors, names, shutter):
@@ -104,13 +127,13 @@ def rank_conventions(
         if offset:
             factor = factor * 2
         forward = (raw - offset) * factor
-        error = _error(now, following, rows, columns, forward)
+        found = _differences(now, following, rows, columns, forward)
+        error = float(np.mean(np.where(np.isnan(found), still, found)))
         pair_names = (names[2 * pair], names[2 * pair + 1])
         presets = _presets(pair_names, sign_x, sign_y, unit, offset, span)
         candidates.append(Candidate(pair_names, sign_x, sign_y, unit, offset, span, error, presets))
     candidates.sort(key=lambda candidate: candidate.error)
-    still = _error(now, following, rows, columns, np.zeros((len(rows), 2)))
-    return Ranking(tuple(candidates), still, share)
+    return Ranking(tuple(candidates), float(np.mean(still)), share)
 
 
 def _checked(
@@ -188,20 +211,23 @@ def _compress(color: np.ndarray) -> np.ndarray:
     return light / (1 + light)
 
 
-def _error(
+def _differences(
     now: np.ndarray, following: np.ndarray, rows: np.ndarray, columns: np.ndarray, to: np.ndarray
-) -> float:
-    """Compare pixels with where they went, read bilinearly inside the image."""
+) -> np.ndarray:
+    """Difference of each pixel from where it went, read bilinearly; NaN outside the image."""
     height, width, _ = following.shape
-    y = np.clip(rows + to[:, 1], 0, height - 1)
-    x = np.clip(columns + to[:, 0], 0, width - 1)
+    y, x = rows + to[:, 1], columns + to[:, 0]
+    # Half a pixel beyond the outermost centers is the image's edge.
+    inside = (y >= -0.5) & (y <= height - 0.5) & (x >= -0.5) & (x <= width - 0.5)
+    y, x = np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)
     top, left = np.floor(y).astype(int), np.floor(x).astype(int)
     bottom, right = np.minimum(top + 1, height - 1), np.minimum(left + 1, width - 1)
     down, across = (y - top)[:, None], (x - left)[:, None]
     upper = following[top, left] * (1 - across) + following[top, right] * across
     lower = following[bottom, left] * (1 - across) + following[bottom, right] * across
     warped = upper * (1 - down) + lower * down
-    return float(np.mean(np.minimum(np.abs(warped - now), ERROR_CAP)))
+    difference = np.mean(np.minimum(np.abs(warped - now), ERROR_CAP), axis=-1)
+    return np.where(inside, difference, np.nan)
 
 
 def _presets(
