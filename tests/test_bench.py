@@ -405,6 +405,15 @@ def test_the_command_takes_frames_with_their_truth(tmp_path):
     # Stored as half: 11 bits.
     psnr: Any = result.figures.psnr
     assert psnr > 60
+    # What the older file holds of the frame, not the whole grid.
+    guard = ("bench", "--compare", path, "-o", tmp_path / "now.csv", "--repeats", "3")
+    outcome = run(*guard, *files, "--tolerance", "1e5")
+    assert outcome.status == 0, outcome.err
+    assert outcome.out.splitlines()[-1].split()[-1] == "same"
+    (again,) = bench.read_rows(tmp_path / "now.csv")
+    assert again.identity == result.identity
+    message = refused(*guard, *files, "--samples", "9")
+    assert "out.csv: holds nothing that is asked for of frame.exr" in message
 
 
 @pytest.mark.parametrize(

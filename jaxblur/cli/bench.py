@@ -27,6 +27,7 @@ from .scene import image_size
 LOG = logging.getLogger("jaxblur")
 
 METHODS = (*published.FILTERS, "unblurred", "accumulate", "stochastic", "motion_paths")
+AXES = ("samples", "radius", "fetch", "tile_choice", "directions")
 BATCH = 8
 REGRESSION = 1
 
@@ -40,7 +41,8 @@ interruption: what the file holds is not measured again, unless the code has cha
 --compare divides each time by that of the fixed work in the same rounds. A case is slower if
 the ratio exceeds 1 + tolerance by more than three standard errors, larger if its temporary buffers
 grew by more than the tolerance, worse if PSNR where motion reaches fell by more than 0.1 dB; any of
-these gives exit status 1. Without frames or scenes it measures the scenes of OLD.csv again."""
+these gives exit status 1. What OLD.csv holds of the frames or scenes is measured again, all of its
+scenes if none are given; options of the grid leave some out."""
 
 
 def add_parser(commands: Any) -> None:
@@ -73,7 +75,10 @@ def add_parser(commands: Any) -> None:
     _add_grid_options(parser)
     group = parser.add_argument_group("regression guard")
     group.add_argument(
-        "--compare", type=file_path, metavar="OLD.csv", help="an earlier RESULTS.csv"
+        "--compare",
+        type=file_path,
+        metavar="OLD.csv",
+        help="an earlier RESULTS.csv",
     )
     group.add_argument(
         "--tolerance",
@@ -112,7 +117,6 @@ def _add_grid_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--methods",
         type=_several(_method),
-        default=[*published.FILTERS, "unblurred"],
         metavar="NAME,...",
         help=f"of {', '.join(METHODS)} (default: the filters, and unblurred)",
     )
@@ -195,19 +199,42 @@ def _read(path: pathlib.Path) -> list[Any]:
 
 
 def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Subjects with their cases: as asked for, or those of the older file."""
+    """Subjects with their cases: as asked for, or those of the older file that are asked for."""
     subjects = _subjects(arguments)
-    if subjects:
-        cases = _cases(arguments)
-        return [(subject, case) for subject in subjects for case in cases]
+    if not arguments.compare:
+        return [(subject, case) for subject in subjects for case in _cases(arguments)]
     from jaxblur import bench
 
-    jobs = bench.catalogue_jobs(old)
+    rows = [row for row in bench.latest(old) if _is_asked_for(arguments, row.case)]
+    if not subjects:
+        jobs = bench.catalogue_jobs(rows)
+    else:
+        jobs = [
+            (subject, row.case)
+            for subject in subjects
+            for row in rows
+            if bench.identity(subject, row.case) == row.identity
+        ]
     if not jobs:
+        asked = ", ".join(subject.name for subject in subjects) or "scenes of the catalogue"
         raise CommandError(
-            f"{arguments.compare}: holds no scene of the catalogue; give the frames it measured."
+            f"{arguments.compare}: holds nothing that is asked for of {asked}; give the frames "
+            "that it measured, or other settings."
         )
     return jobs
+
+
+def _is_asked_for(arguments: argparse.Namespace, case: Any) -> bool:
+    """Whether options of the grid, where they are given, name a case of an older file."""
+    if arguments.methods and case.method not in arguments.methods:
+        return False
+    if not case.has_settings:
+        return True
+    values = vars(case.settings) | ({"radius": "auto"} if case.auto_radius else {})
+    return all(
+        getattr(arguments, name) is None or values[name] in getattr(arguments, name)
+        for name in AXES
+    )
 
 
 def _subjects(arguments: argparse.Namespace) -> list[Any]:
@@ -240,11 +267,10 @@ def _file_subject(
 def _cases(arguments: argparse.Namespace) -> list[Any]:
     from jaxblur import bench
 
-    names = ("samples", "radius", "fetch", "tile_choice", "directions")
-    axes = {name: values for name in names if (values := getattr(arguments, name))}
+    axes = {name: values for name in AXES if (values := getattr(arguments, name))}
     axes.setdefault("samples", [9, 15, 27, 35])
     grid = {"product": bench.product, "axes": bench.one_at_a_time}[arguments.grid]
-    return grid(arguments.methods, axes)
+    return grid(arguments.methods or [*published.FILTERS, "unblurred"], axes)
 
 
 def _measure(
@@ -277,8 +303,6 @@ def _compare(arguments: argparse.Namespace, old: Sequence[Any], new: Sequence[An
     from jaxblur import bench
 
     changes = bench.compare(old, new, arguments.tolerance / 100)
-    if not changes:
-        raise CommandError(f"{arguments.compare}: shares no case with what was measured.")
     columns = ("scene", "case", ">time ratio", ">noise", ">memory", ">PSNR dB", "verdict")
     print_table(columns, [_change_cells(change) for change in changes])
     worse = [change for change in changes if change.is_regression]
