@@ -81,14 +81,18 @@ def test_unknown_vectors_rest_whatever_value_stands_for_rest(tmp_path):
     assert (np.delete(velocity.reshape(-1, 2), 7, axis=0) != 0).all()
 
 
-def test_unknown_depth_is_refused_or_sky(tmp_path):
+@pytest.mark.parametrize(
+    ("value", "sign", "kind"), [(np.nan, 1, "z"), (-np.inf, 1, "z"), (np.inf, -1, "-z")]
+)
+def test_unknown_depth_is_refused_or_sky(tmp_path, value, sign, kind):
     channels = plain_frame()
-    channels["Z"][1, 2] = np.nan
+    channels["Z"] *= sign
+    channels["Z"][1, 2] = value
     path = write_single(tmp_path / "a.exr", channels)
     with pytest.raises(exr.JaxblurIOError, match=r"a.exr: Z: 1 of 24 pixels are NaN"):
-        exr.read_frame(path)
-    with pytest.warns(exr.JaxblurIOWarning, match="1 pixels with NaN in Z"):
-        buffers = exr.read_buffers(path, nonfinite="ignore")
+        exr.read_frame(path, depth=kind)
+    with pytest.warns(exr.JaxblurIOWarning, match="1 pixels with NaN or negative infinity in Z"):
+        buffers = exr.read_buffers(path, depth=kind, nonfinite="ignore")
     assert np.isposinf(buffers.depth[1, 2]) and buffers.ignored == Ignored(depth=1)
 
 

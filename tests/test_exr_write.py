@@ -337,6 +337,7 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
     channels["velocity.X"][1, 2] = np.nan
     channels["velocity.Y"][0, 0] = -np.inf
     channels["Z"][3, 3] = np.inf
+    channels["Z"][2, 1] = np.nan
     color = {name: channels.pop(name) for name in "RGB"}
     source = tmp_path / "in.exr"
     if parts == 1:
@@ -345,11 +346,11 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
         specs = [make_spec(color, name="rgb"), make_spec(channels, name="data")]
         write_parts(source, [(specs[0], color), (specs[1], channels)])
     prefix = "" if parts == 1 else "data."
-    names = f"{prefix}velocity.X (1 pixels), {prefix}velocity.Y (1 pixels)"
+    names = ", ".join(f"{prefix}{name} (1 pixels)" for name in ("Z", "velocity.X", "velocity.Y"))
     image = np.full((4, 6, 3), 0.5, np.float32)
     policies: tuple[tuple[Literal["keep", "zero"], str, float], ...] = (
         ("keep", "copied as they are", np.nan),
-        ("zero", "set to 0", 0),
+        ("zero", "set to 0 (depth to infinity)", 0),
     )
     for policy, words, value in policies:
         out = tmp_path / f"{policy}.exr"
@@ -358,6 +359,7 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
         stored = exr.read_channels(out, [f"{prefix}velocity.X", f"{prefix}Z"])
         np.testing.assert_equal(stored[1, 2, 0], np.float32(value))
         assert np.isposinf(stored[3, 3, 1]), "the sky stays"
+        np.testing.assert_equal(stored[2, 1, 1], np.float32(np.inf if policy == "zero" else np.nan))
         good = np.isfinite(channels["velocity.X"])
         np.testing.assert_array_equal(stored[..., 0][good], channels["velocity.X"][good])
 

@@ -78,25 +78,25 @@ def refuse_or_zero(
 def without_depth(
     path: PathLike, name: str, raw: Float[np.ndarray, "height width"], nonfinite: str
 ) -> Bool[np.ndarray, "height width"]:
-    """Refuse NaN in depth, or say where it counts as sky.
+    """Refuse NaN and negative infinity in depth, or say where they count as sky.
 
     Args:
         path: file, for messages.
         name: of the channel.
-        raw: (H, W) depth as read.
+        raw: (H, W) depth as read; of negated depth its negative.
         nonfinite: "error", "ignore" (with a warning) or "keep".
 
     Returns:
-        (H, W) True where NaN is ignored.
+        (H, W) True where they are ignored.
 
     Raises:
-        JaxblurIOError: ``nonfinite`` is "error" and a value is NaN.
+        JaxblurIOError: ``nonfinite`` is "error" and there is one.
     """
-    bad = np.isnan(raw)
+    bad = np.isnan(raw) | np.isneginf(raw)
     if nonfinite == "error":
-        refuse(bad, path, name, "NaN", _IGNORE)
+        refuse(bad, path, name, "NaN or negative infinity", _IGNORE)
     if bad.any() and nonfinite == "ignore":
-        _warn_ignored(path, name, int(bad.sum()), "NaN")
+        _warn_ignored(path, name, int(bad.sum()), "NaN or negative infinity")
     return bad & (nonfinite == "ignore")
 
 

@@ -143,8 +143,8 @@ def read_buffers(
         color_channels: full names of the color channels.
         velocity_channels: full names of the vector channels, x and y of each pair.
         depth_channel: full name of the depth channel.
-        nonfinite: NaN and infinity in color or vectors, and NaN in depth: "error", "ignore" (with
-            a warning; see `jaxblur.nonfinite`), or "keep" for looking at them.
+        nonfinite: NaN and infinity in color or vectors, and NaN and negative infinity in depth:
+            "error", "ignore" (with a warning; see `jaxblur.nonfinite`), or "keep" for looking.
 
     Returns:
         The buffers, all of one size.
@@ -305,7 +305,7 @@ def _read_distance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read depth as positive distance, and where it is unknown."""
     raw = _read_data(info, [name], picture, group)[..., 0]
-    lost = without_depth(info.path, name, raw, nonfinite)
+    lost = without_depth(info.path, name, -raw if kind == "-z" else raw, nonfinite)
     return to_distance(raw, kind, info.path, name), lost
 
 

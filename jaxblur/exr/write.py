@@ -69,7 +69,7 @@ def write_image(
         color_channels: full names of the channels of ``like`` to replace.
         overwrite: replace an existing file; it is never ``like``.
         nonfinite: NaN, and infinity other than sky in depth, in the channels that are copied from
-            ``like``: "keep" or "zero", with a warning either way.
+            ``like``: "keep", or "zero" (infinity in depth), with a warning either way.
 
     Raises:
         JaxblurIOError: not finite, sizes or channel counts differ, ``path`` is ``like`` itself
@@ -305,7 +305,7 @@ def _mended_part(
 def _not_finite(
     info: FileInfo, plan: _Plan, pixels: np.ndarray, replaced: Collection[int], mend: bool
 ) -> bool:
-    """Warn of NaN and infinity in the channels that a file keeps, and set them to 0 if asked."""
+    """Warn of NaN and infinity in the channels that a file keeps, and mend them if asked."""
     found = []
     for position, index in enumerate(plan.keep):
         channel = info.parts[plan.part].channels[index]
@@ -318,9 +318,10 @@ def _not_finite(
         if bad.any():
             found.append(f"{channel.name} ({int(bad.sum())} pixels)")
             if mend:
-                values[bad] = 0
+                # Unknown depth is far away, as filters take it; 0 would be the nearest there is.
+                values[bad] = np.inf if is_depth(channel.name) else 0
     if found:
-        done = "set to 0" if mend else "copied as they are"
+        done = "set to 0 (depth to infinity)" if mend else "copied as they are"
         warnings.warn(
             f"{printable(info.path)}: NaN or infinity in {printable(', '.join(found))}, {done}.",
             JaxblurIOWarning,
