@@ -421,7 +421,7 @@ def test_the_command_takes_frames_with_their_truth(tmp_path):
     [
         (("-o", "x.csv"), "give frames, --scene NAME, or --compare OLD.csv"),
         (("--scene", "crossing", "-o", "x.txt"), "x.txt: results are CSV"),
-        (("--scene", "crossed", "-o", "x.csv"), "must be a scene of"),
+        (("--scene", "crossed", "-o", "x.csv"), "no scene 'crossed' (did you mean crossing?)"),
         (("--scene", "crossing", "-o", "x.csv", "--methods", "gertin"), "did you mean guertin2014"),
         (("--scene", "crossing", "-o", "x.csv", "--truth", "t.exr"), "--truth: 1 for 0 frames"),
         (("--compare", "x.csv", "-o", "x.csv"), "is what it would be compared with"),

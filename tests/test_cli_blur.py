@@ -1,5 +1,6 @@
 """``jaxblur blur`` on real and on damaged files."""
 
+import dataclasses
 import functools
 import re
 import tomllib
@@ -9,6 +10,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, srgb
+from jaxblur.cli import published
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
 
@@ -116,6 +118,26 @@ def test_parameters_reach_the_filter(tmp_path):
     image = jaxblur.guertin2014(jaxblur.read_frame(CAR), parameters, settings=settings)
     half = np.asarray(image).astype(np.float16).astype(np.float32)
     np.testing.assert_array_equal(exr.read_image(out), half)
+
+
+@pytest.mark.parametrize("name", ["layered", "mcguire2012", "pixel_velocity"])
+def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
+    from jaxblur.settings import CHOICES
+
+    frame, out = jaxblur.read_frame(CAR), tmp_path / "out.exr"
+    usual = jaxblur.Settings(samples=5, radius=25)
+    parameters, _ = jaxblur.filters.PUBLISHED[name]
+    image = jaxblur.FILTERS[name](frame, parameters, settings=usual)
+    for choice in published.GUERTIN_CHOICES:
+        for value in CHOICES[choice]:
+            settings = dataclasses.replace(usual, **{choice: value})
+            other = jaxblur.FILTERS[name](frame, parameters, settings=settings)
+            np.testing.assert_array_equal(other, image)
+        option = f"--{choice.replace('_', '-')}"
+        message = refused("blur", CAR, "-o", out, "--filter", name, option, CHOICES[choice][-1])
+        assert f"{option}: {name} has no such choice" in message
+    assert run("blur", CAR, "-o", out, "--filter", name).status == 0
+    assert "tile_choice" not in tomllib.loads(attributes(out)["jaxblur:settings"])
 
 
 def test_a_closed_shutter_gives_the_input_back(tmp_path):
@@ -241,6 +263,10 @@ def test_an_input_is_never_overwritten(tmp_path, option):
             ("over the shutter", "--file-shutter"),
         ),
         (("--preset", "nuke"), ("no channels of preset `nuke`", "--velocity-channels")),
+        (
+            ("--velocity-channels", "ViewLayer.Vector.X,ViewLayer.Vector.Y"),
+            ("--velocity-channels do not tell", "name the convention with --preset"),
+        ),
         (("--truth", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
         (("--velocity-from", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
     ],
@@ -255,7 +281,11 @@ def test_wrong_arguments_are_refused_with_a_remedy(tmp_path, given, words):
 
 @pytest.mark.parametrize(
     ("name", "word"),
-    [("missing/out.exr", "create it first"), ("out.tif", ".exr and .png only"), (".", "only")],
+    [
+        ("missing/out.exr", "create it first"),
+        ("out.tif", ".exr and .png only"),
+        (".", "is a folder"),
+    ],
 )
 def test_outputs_that_cannot_be_written(tmp_path, name, word):
     assert word in refused("blur", CAR, "-o", tmp_path / name)

@@ -314,7 +314,7 @@ def test_a_motion_along_one_axis_does_not_tell_the_sign_of_the_other(shift, unde
     assert ranking.candidates[0].error < 0.5 * ranking.still_error
     assert ranking.undecided == undecided
     now, following = pan((6, -4))
-    vector = np.broadcast_to(np.float32((6, -4)), (40, 60, 2)).copy()
+    vector = np.broadcast_to(np.array((6, -4), np.float32), (40, 60, 2)).copy()
     assert vectors.rank_conventions(now, following, vector).undecided == ()
 
 
@@ -324,7 +324,7 @@ def test_a_candidate_that_leads_out_of_the_picture_explains_nothing():
     disks = [np.hypot(rows - 20 - 3 * k, columns - 50 - 6 * k) < 8 for k in (0, 1)]
     now, following = (np.repeat(disk[..., None].astype(float), 3, axis=-1) for disk in disks)
     dark = 0.01 * np.random.default_rng(1).random((40, 60, 3))
-    vector = np.where(disks[0][..., None], np.float32((6, 3)), np.float32(0))
+    vector = np.where(disks[0][..., None], np.array((6, 3), np.float32), np.float32(0))
     ranking = vectors.rank_conventions(1e-3 * now + dark, 1e-3 * following + dark, vector)
     best = ranking.candidates[0]
     outside = [c for c in ranking.candidates if c.unit != "px"]

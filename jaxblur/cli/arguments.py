@@ -106,6 +106,10 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
 
 
+_OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
+"""Arguments of the library that options are called otherwise for."""
+
+
 def in_option_names(message: str, options: Mapping[str, Any]) -> str:
     """Say ``--shutter`` where the library says ```shutter```, and likewise for values.
 
@@ -125,6 +129,7 @@ def in_option_names(message: str, options: Mapping[str, Any]) -> str:
         name = name.removeprefix("settings.")
         if name == "extra":
             return "--drop-extra"
+        name = _OPTIONS.get(name, name)
         if name not in options:
             return match[0]
         return f"{flag(name)}={value}" if value else flag(name)

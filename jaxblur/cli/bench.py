@@ -22,7 +22,7 @@ from .arguments import (
 from .blur import add_source_options
 from .compute import start_jax
 from .console import print_line, print_table, track
-from .scene import image_size
+from .scene import check_scene, image_size
 
 LOG = logging.getLogger("jaxblur")
 
@@ -240,6 +240,8 @@ def _is_asked_for(arguments: argparse.Namespace, case: Any) -> bool:
 def _subjects(arguments: argparse.Namespace) -> list[Any]:
     from jaxblur import bench
 
+    for name in arguments.scene:
+        check_scene(name)
     subjects = [
         bench.catalogue_subject(name, size, arguments.shutter, arguments.truth_samples)
         for name in arguments.scene

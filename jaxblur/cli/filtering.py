@@ -57,11 +57,9 @@ def add_filter_options(
         help="a parameter of the filter; repeat for several",
     )
     for name, options in CHOICES.items():
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            choices=options,
-            help="as published" if name == "fetch" else f"default {getattr(Settings(), name)}",
-        )
+        default = "as published" if name == "fetch" else f"default {getattr(Settings(), name)}"
+        only = "guertin2014 only; " if name in published.GUERTIN_CHOICES else ""
+        group.add_argument(f"--{name.replace('_', '-')}", choices=options, help=only + default)
     return group
 
 
@@ -104,7 +102,8 @@ def complete(
         Name of the filter, all of its parameters, settings.
 
     Raises:
-        CommandError: another filter was fitted, or a parameter is unknown or out of range.
+        CommandError: another filter was fitted, a parameter is unknown or out of range, or the
+            filter does not have a choice that was given.
     """
     name = arguments.filter or (fitted.filter if fitted else arguments.default_filter)
     if fitted and fitted.filter != name:
@@ -125,6 +124,11 @@ def complete(
         settings, values = fitted.settings, fitted_values | values
     names = ("samples", "radius", "spacing", *CHOICES)
     given = {key: value for key in names if (value := getattr(arguments, key))}
+    if name != "guertin2014" and (unused := [*given.keys() & set(published.GUERTIN_CHOICES)]):
+        option = min(unused).replace("_", "-")
+        raise CommandError(
+            f"--{option}: {name} has no such choice; leave it out, or pass --filter guertin2014."
+        )
     chosen = Settings(**settings | given)
     if name == "mcguire2012" and chosen.samples % 2 == 0:
         raise CommandError(

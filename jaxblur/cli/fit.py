@@ -124,6 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     name, parameters, settings = complete(arguments)
     frames, truths = pair_files(arguments.frames, arguments.truth)
     holdout = held_out(frames, arguments.holdout)
+    _check_free(name, arguments.free or ())
     _check_output(arguments, [*frames, *truths])
     pairs = [_read_pair(arguments, *files) for files in zip(frames, truths, strict=True)]
     settings = _with_radius(settings, arguments, pairs)
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
     with _progress(arguments.steps) as callback:
         result = fit(
             name,
-            [(Frame(b.color, b.depth, b.velocity), truth) for b, truth in pairs],
+            [(Frame(b.color, b.depth, b.velocity, b.path), truth) for b, truth in pairs],
             initial=parameters,
             free=arguments.free,
             loss=arguments.loss,
@@ -164,6 +165,16 @@ def run(arguments: argparse.Namespace) -> int:
     state.unlink(missing_ok=True)
     _report(arguments.output, result)
     return 0
+
+
+def _check_free(name: str, free: Sequence[str]) -> None:
+    """Refuse what the filter does not have, before frames are read."""
+    table = published.FILTERS[name].parameters
+    for parameter in free:
+        if parameter not in table:
+            known = f"it has {', '.join(table)}" if table else "it has none"
+            hint = did_you_mean(parameter, table)
+            raise CommandError(f"--free: {name} has no parameter {parameter!r}{hint}; {known}.")
 
 
 def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:
@@ -237,7 +248,7 @@ def held_out(frames: Sequence[pathlib.Path], patterns: Sequence[str]) -> list[in
         Indices of the frames.
 
     Raises:
-        CommandError: a pattern matches none.
+        CommandError: a pattern matches none, or no frame is left.
     """
     found: set[int] = set()
     for pattern in patterns:
@@ -249,6 +260,8 @@ def held_out(frames: Sequence[pathlib.Path], patterns: Sequence[str]) -> list[in
                 "of the path, and * stays within a folder."
             )
         found |= matching
+    if len(found) == len(frames):
+        raise CommandError("--holdout: no frame is left to fit; hold fewer out.")
     return sorted(found)
 
 
@@ -311,9 +324,9 @@ def _cropped(
     height, width = truth.shape[:2]
     if part[0].stop > height or part[1].stop > width:
         raise CommandError(f"--crop: reaches beyond {frame}, which has {width}x{height} pixels.")
-    names = ("color", "depth", "velocity")
-    cut = {name: getattr(buffers, name)[part] for name in names}
-    return dataclasses.replace(buffers, path=None, **cut), truth[part]
+    names = ("color", "depth", "velocity", "path")
+    cut = {name: whole[part] for name in names if (whole := getattr(buffers, name)) is not None}
+    return dataclasses.replace(buffers, **cut), truth[part]
 
 
 def _size(image: Any) -> str:

@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jaxblur
@@ -39,10 +39,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         SystemExit: ``--help`` and ``--version``, with status 0.
     """
     options: dict[str, Any] = {}
-    with _diagnostics(), never_lost():
+    with _diagnostics(options), never_lost():
         try:
             arguments = build_parser().parse_args(argv)
-            options = vars(arguments)
+            options |= vars(arguments)
             LOG.setLevel(_level(arguments.verbose, arguments.quiet))
             status = arguments.run(arguments)
             sys.stdout.flush()
@@ -81,8 +81,12 @@ class _LineFormatter(logging.Formatter):
 
 
 @contextlib.contextmanager
-def _diagnostics() -> Iterator[None]:
-    """Send log records and warnings to stderr for as long as a command runs."""
+def _diagnostics(options: Mapping[str, Any]) -> Iterator[None]:
+    """Send log records and warnings to stderr for as long as a command with options runs."""
+
+    def log_warning(message: Warning | str, *_: Any) -> None:
+        LOG.warning("%s", in_option_names(str(message), options))
+
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # File and channel names may hold what the terminal's encoding lacks.
@@ -94,14 +98,10 @@ def _diagnostics() -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("always", category=UserWarning)
-            warnings.showwarning = _log_warning
+            warnings.showwarning = log_warning
             yield
     finally:
         LOG.removeHandler(handler)
-
-
-def _log_warning(message: Warning | str, *_: Any) -> None:
-    LOG.warning("%s", message)
 
 
 def _level(verbose: bool, quiet: bool) -> int:

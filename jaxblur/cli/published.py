@@ -105,6 +105,8 @@ FILTERS: dict[str, Published] = {
     ),
 }
 DEFAULT_FILTER = "layered"
+GUERTIN_CHOICES = ("tile_choice", "split", "directions", "direction_weights", "diagonal_tiles")
+"""Choices of `jaxblur.Settings` that only ``guertin2014`` has."""
 FITTED_FILTER = "guertin2014"
 """What `jaxblur fit` fits unless another is named: the one whose parameters are free by default."""
 

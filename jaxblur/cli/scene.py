@@ -108,11 +108,22 @@ def make_scene(name: str) -> Any:
     """
     from jaxblur.scenes import SCENES
 
+    check_scene(name)
+    return SCENES[name]()
+
+
+def check_scene(name: str) -> None:
+    """Refuse what is no scene of the catalogue.
+
+    Raises:
+        CommandError: there is none of that name.
+    """
+    from jaxblur.scenes import SCENES
+
     if name not in SCENES:
         raise CommandError(
             f"no scene {name!r}{did_you_mean(name, SCENES)}; there are {', '.join(SCENES)}."
         )
-    return SCENES[name]()
 
 
 def image_size(text: str) -> tuple[int, int]:

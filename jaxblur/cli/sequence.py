@@ -248,6 +248,7 @@ class _Run:
 
     def _work(self, todo: list[Any]) -> None:
         outcomes = _outcomes(self.arguments, self.asked, todo)
+        before = [_times(job) for job in todo]
         refused = 0
         try:
             with frame_messages(), progress(len(todo)) as tell:
@@ -258,7 +259,10 @@ class _Run:
                         LOG.error("%d frames in a row cannot be written; stopping.", refused)
                         break
         except KeyboardInterrupt as interruption:
-            written = sum(record["status"] == "written" for record in self.records.values())
+            # What is under way comes to its end: the disk knows more than the records.
+            outcomes.close()
+            pairs = zip(map(_times, todo), before, strict=True)
+            written = sum(None not in now and now != earlier for now, earlier in pairs)
             raise KeyboardInterrupt(
                 f"interrupted; {written} of {len(todo)} frames are written, and the same command "
                 "goes on from there"
@@ -271,7 +275,7 @@ class _Run:
         record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
         with about_frame(outcome.job.frame):
             for level, text in outcome.messages:
-                LOG.log(level, "%s", text)
+                LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))
         if outcome.error is None:
             record |= outcome.result
             record["status"] = "written"
@@ -348,6 +352,11 @@ def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
     return sources, [output, *([output.with_suffix(".png")] if with_png else [])]
 
 
+def _times(job: Any) -> list[int | None]:
+    """When each output of a frame was written, None where it is not there."""
+    return [path.stat().st_mtime_ns if path.exists() else None for path in job.outputs]
+
+
 def _frames_on_disk(names: Any) -> list[int]:
     from jaxblur.sequence import missing_frames
 
@@ -356,7 +365,7 @@ def _frames_on_disk(names: Any) -> list[int]:
         raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
     missing = missing_frames(frames)
     if missing:
-        LOG.warning("%s: there is no frame %s.", names.pattern, missing)
+        LOG.warning("%s: missing frames: %s.", names.pattern, missing)
     return frames
 
 

@@ -12,6 +12,7 @@ from jaxblur.settings import Settings
 
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter
+from .published import GUERTIN_CHOICES
 
 LOG = logging.getLogger("jaxblur")
 
@@ -63,6 +64,8 @@ def check_output(output: pathlib.Path) -> None:
     Raises:
         CommandError: another format, or there is no such folder, or it is not writable.
     """
+    if output.is_dir():
+        raise CommandError(f"{output}: is a folder; give a file name.")
     if output.suffix.lower() not in (".exr", ".png"):
         raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
     if not output.parent.is_dir():
@@ -124,12 +127,14 @@ def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choi
         LOG.info("radius: %d px, for half-spreads up to %.1f px", chosen.settings.radius, fastest)
         return chosen
     if loaded.speeds.beyond_share > 0:
+        enough = loaded.speeds.suggested_radius
         LOG.warning(
-            "%.2g %% of the vectors are longer than the radius of %d px and are cut to it; "
-            "--radius auto would take %d",
+            "%.2g %% of the vectors are longer than the radius of %d px and are cut to it; %s",
             100 * loaded.speeds.beyond_share,
             asked.settings.radius,
-            loaded.speeds.suggested_radius,
+            f"--radius auto would take {enough}"
+            if enough > asked.settings.radius
+            else "some are longer than the picture: check --preset and --shutter (frames)",
         )
     return asked
 
@@ -217,7 +222,10 @@ def write(
 
 def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
     """Give what must be known to make an output again; names of files, without folders."""
-    used = dataclasses.asdict(chosen.settings) | {
+    settings = dataclasses.asdict(chosen.settings)
+    if chosen.name != "guertin2014":
+        settings = {k: value for k, value in settings.items() if k not in GUERTIN_CHOICES}
+    used = settings | {
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
         "depth": buffers.depth_kind,

@@ -74,9 +74,7 @@ def _rank(arguments: argparse.Namespace) -> Any:
     from jaxblur import exr, vectors
 
     info = exr.inspect(arguments.file)
-    names = arguments.velocity_channels or list(
-        exr.choose_vectors(info, "auto", arguments.layer).channels
-    )
+    names = arguments.velocity_channels or _recognized(info, arguments.layer)
     if len(names) % 2:
         raise CommandError(f"--velocity-channels: expected pairs of x and y, got {len(names)}.")
     *_, width, height = info.parts[info.channel(names[0]).part].display_window
@@ -98,6 +96,16 @@ def _rank(arguments: argparse.Namespace) -> Any:
         )
     except ValueError as error:
         raise CommandError(f"{arguments.file}: {error}") from error
+
+
+def _recognized(info: Any, layer: str | None) -> list[str]:
+    from jaxblur import exr
+
+    try:
+        return list(exr.choose_vectors(info, "auto", layer).channels)
+    except exr.JaxblurIOError as error:
+        found = error.reason.partition(";")[0]
+        raise CommandError(f"{info.path}: {found}; name them with --velocity-channels.") from error
 
 
 def _color_count(image: Any) -> int:

@@ -112,6 +112,11 @@ def choose_vectors(
     try:
         if velocity_channels is not None:
             names = [info.channel(name).name for name in velocity_channels]
+            if preset == "auto":
+                raise ValueError(
+                    "`velocity_channels` do not tell what their values mean; name the convention "
+                    "with `preset`."
+                )
             return vectors.assign_channels(preset, names)
         names = names_in_layer(info, layer)
         if preset == "auto":

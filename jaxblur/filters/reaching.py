@@ -245,7 +245,7 @@ def _marks(score, grid, radius, step, line, tables):
     return tuple(marks)
 
 
-def _line_of(marks: Int[Array, " tiles"], grid: tuple[int, int], radius: int) -> Array:
+def _line_of(marks: Int[Array, " tiles"], grid: tuple[int, ...], radius: int) -> Array:
     """Number of the line that left each mark of `_marks`; -1 where there is none."""
     reach = _reach(radius)
     up, left = jnp.divmod((marks - 1) % (2 * reach + 1) ** 2, 2 * reach + 1)
