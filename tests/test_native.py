@@ -321,6 +321,53 @@ def test_neighbors_in_memory_are_read_as_often_as_they_are_asked_for():
     np.testing.assert_allclose(ours, np.stack(expected, axis=-1), rtol=1e-6)
 
 
+def test_a_loop_carries_values_on():
+    """Values change places, a loop runs in the loop, and both count."""
+    generator = np.random.default_rng(0)
+    plane = jnp.asarray(generator.uniform(-1, 1, (5, 19, 1)), jnp.float32)
+
+    def stage(local, tables, _):
+        def step(k, carried):
+            first, second, steps = carried
+            inner = jax.lax.fori_loop(
+                0,
+                3,
+                lambda j, total: total + k * j + sampling.read_nearest(tables, own),
+                jnp.zeros_like(local),
+            )
+            return second, first + second * 0.5 + inner, steps + (k > 2)
+
+        own = own_place(local)
+        start = local, 2 * local, jnp.zeros_like(local, jnp.int32)
+        first, second, steps = jax.lax.fori_loop(0, 7, step, start)
+        return [first, second, steps.astype(jnp.float32)]
+
+    a, b = plane, 2 * plane
+    for k in range(7):
+        a, b = b, a + b * 0.5 + 3 * k + 3 * plane
+    stages = gathers.everywhere(stage)
+    for backend in ("native", "xla"):
+        result = gathers.gather_samples(stages, 0, plane, plane, plane.reshape(-1), backend)
+        np.testing.assert_allclose(result[..., :1], a, rtol=1e-5)
+        np.testing.assert_allclose(result[..., 1:2], b, rtol=1e-5)
+        assert (result[..., 2] == 4).all()
+
+
+def test_loops_without_a_native_form_are_named():
+    def over_arrays(i, a, t):
+        return a + jax.lax.scan(lambda c, x: (c + x, None), 0.0, jnp.ones(3))[0] * i
+
+    def within_a_sample(i, a, t):
+        return jax.lax.fori_loop(0, 3, lambda k, c: c + i, a + 0 * i)
+
+    for function, words in (
+        (over_arrays, "a scan over arrays"),
+        (within_a_sample, "a loop within a sample"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            sum_of(function)
+
+
 def test_logarithms_of_what_is_not_usual():
     values = np.array([0, -0.0, -1, np.inf, np.nan, 1.2e-38, 1, 1e38, 3.4e38], np.float32)
     usual = np.geomspace(1e-37, 1e37, 1000, dtype=np.float32)

@@ -118,37 +118,26 @@ def _fastest_and_farthest(
 
 def _compare_pixels(image, radius, local, tables, _):
     """Number of the fastest pixel of a tile, row by row, and the greatest log depth."""
-    (height, width), size, grid = image, fine_tile(radius), local["nothing"].shape
-    rows, columns = (
-        [jnp.minimum(first * size + k, length - 1) for k in range(size)]
-        for first, length in (
-            (lax.broadcasted_iota(jnp.int32, grid, 0), height),
-            (lax.broadcasted_iota(jnp.int32, grid, 1), width),
-        )
-    )
-    nothing = local["nothing"]
-    best = nothing - 1, nothing, nothing - jnp.inf
+    (height, width), size, nothing = image, fine_tile(radius), local["nothing"]
+    top, left = (lax.broadcasted_iota(jnp.int32, nothing.shape, axis) * size for axis in (0, 1))
+
     # Beyond the edge the last pixels come again, which changes nothing.
-    for k, row in enumerate(rows):
-        first = jnp.asarray(k * size, nothing.dtype)
-        best = _compare_row(radius, best, first, row * width, columns, tables["motion"])
+    def compare_row(k, best):
+        start = jnp.minimum(top + k, height - 1) * width
+
+        def compare(j, best):
+            fastest, number, farthest = best
+            index = start + jnp.minimum(left + j, width - 1)
+            x, y, depth = read_row(tables["motion"], index, 4, 3)
+            speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
+            number = jnp.where(speed > fastest, (k * size + j).astype(number.dtype), number)
+            fastest = jnp.where(speed > fastest, speed, fastest)
+            return fastest, number, jnp.where(depth > farthest, depth, farthest)
+
+        return lax.fori_loop(0, size, compare, best)
+
+    best = lax.fori_loop(0, size, compare_row, (nothing - 1, nothing, nothing - jnp.inf))
     return list(best[1:])
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _compare_row(radius, best, first, start, columns, motion):
-    """Greatest squared speed, its number and greatest log depth, with a row of pixels more.
-
-    A function of its own so that JAX traces it once, and not for each of the rows.
-    """
-    fastest, number, farthest = best
-    for k, column in enumerate(columns):
-        x, y, depth = read_row(motion, start + column, 4, 3)
-        speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
-        number = jnp.where(speed > fastest, first + k, number)
-        fastest = jnp.where(speed > fastest, speed, fastest)
-        farthest = jnp.where(depth > farthest, depth, farthest)
-    return fastest, number, farthest
 
 
 def _reach(radius: int) -> int:

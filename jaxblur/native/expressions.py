@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -72,9 +72,9 @@ def _is_zero(value: Value) -> bool:
     return value.number is not None and not np.any(value.number)
 
 
-def _padded(parameters: Any, plane: Value, filling: Value) -> Value:
+def _padded(equation: Any, plane: Value, filling: Value) -> Value:
     """An image of zeros but for one channel: the derivative of taking a channel out."""
-    *sides, (before, after, inside) = parameters["padding_config"]
+    *sides, (before, after, inside) = equation.params["padding_config"]
     if any(map(any, sides)) or inside or min(before, after) < 0 or not _is_zero(filling):
         raise Unsupported("a pad other than of a channel to an image")
     if _is_zero(plane):
@@ -157,11 +157,12 @@ class Writer:
         late = self.finishing and level == Level.PIXEL
         return self.last_statements if late else self.statements[level]
 
-    def define(self, code: str, dtype: Any, level: Level) -> Value:
+    def define(self, code: str, dtype: Any, level: Level, changes: bool = False) -> Value:
         """A variable for an expression, beside the others of its level."""
         dtype, name = np.dtype(dtype).name, self._name()
         kind = c_type(dtype, level >= Level.PIXEL)
-        self._statements(level).append(f"const {kind} {name} = {code};")
+        kind = kind if changes else f"const {kind}"
+        self._statements(level).append(f"{kind} {name} = {code};")
         return Value(name, dtype, level)
 
     def constant(self, value: Any) -> Value:
@@ -203,22 +204,40 @@ class Writer:
             if isinstance(inner, core.ClosedJaxpr):
                 return self.walk(inner.jaxpr, inner.consts, inputs)
             return self.walk(inner, (), inputs)
-        if name == "gather":
-            return [self._read(equation, *inputs)]
-        if name == "scatter-add":
-            return [_addition(equation, *inputs)]
-        if name == "pad":
-            return [_padded(parameters, *inputs)]
+        if name == "scan":
+            return self._loop(parameters, inputs)
+        if name in _OF_ARRAYS:
+            return [_OF_ARRAYS[name](self, equation, *inputs)]
         if name in ("add", "add_any") and any(v.additions or v.columns for v in inputs):
             return [self._sum(equation, *inputs)]
-        if name == "iota":
-            return [self._position(parameters)]
-        if name == "slice":
-            return [self._channel(parameters, inputs[0])]
         dtype = equation.outvars[0].aval.dtype
         if name == "convert_element_type" and inputs[0].number is not None:
             return [literal(inputs[0].number.astype(dtype))]
         return [self._operation(name, parameters, inputs, dtype)]
+
+    def _loop(self, parameters: Any, inputs: list[Value]) -> list[Value]:
+        """A loop that carries values on, as `lax.fori_loop` of known length makes it."""
+        body, constants = parameters["jaxpr"], parameters["num_consts"]
+        if len(inputs) != constants + len(body.jaxpr.outvars) or parameters["reverse"]:
+            raise Unsupported("a scan over arrays")
+        if any(value.level & Level.SAMPLE for value in inputs):
+            raise Unsupported("a loop within a sample")
+        carried = [
+            self.define(widened(value, Level.PIXEL).code, value.dtype, Level.PIXEL, changes=True)
+            for value in inputs[constants:]
+        ]
+        statements = self._statements(Level.PIXEL)
+        statements.append(f"for (int32_t step = 0; step < {parameters['length']}; ++step) {{")
+        results = self.walk(body.jaxpr, body.consts, [*inputs[:constants], *carried])
+        # All of them are found before one changes.
+        found = [
+            self.define(widened(value, Level.PIXEL).code, value.dtype, Level.PIXEL)
+            for value in results
+        ]
+        pairs = zip(carried, found, strict=True)
+        statements.extend(f"{variable.code} = {value.code};" for variable, value in pairs)
+        statements.append("}")
+        return carried
 
     def _operation(self, name: str, parameters: Any, inputs: list[Value], dtype: Any) -> Value:
         """An elementwise operation."""
@@ -276,8 +295,9 @@ class Writer:
         statements.append(read)
         return Value(read.name, "float32", level)
 
-    def _channel(self, parameters: Any, image: Value) -> Value:
+    def _channel(self, equation: Any, image: Value) -> Value:
         """A channel of an image, at the pixel itself."""
+        parameters = equation.params
         (*corner, channel), last = parameters["start_indices"], parameters["limit_indices"]
         if any(corner) or len(last) != 3 or last[2] != channel + 1 or image.table:
             raise Unsupported("a slice other than of one channel")
@@ -285,8 +305,9 @@ class Writer:
             return image
         return self._define_read(image.code, f"own * {image.channels}", channel, Level.PIXEL)
 
-    def _position(self, parameters: Any) -> Value:
+    def _position(self, equation: Any) -> Value:
         """Number of the sample, row, or column."""
+        parameters = equation.params
         rank, axis = len(parameters["shape"]), parameters["dimension"]
         if rank not in (1, 3):
             raise Unsupported(f"an iota of rank {rank}")
@@ -310,3 +331,13 @@ class Writer:
                 raise Unsupported(f"images of type {dtype}")
             return declaration, Value(name, dtype, channels=leaf.shape[-1])
         return declaration, self.define(_LOADS[dtype].format(f"{name} + pixel"), dtype, Level.PIXEL)
+
+
+_OF_ARRAYS: dict[str, Callable[..., Value]] = {
+    "gather": Writer._read,
+    "iota": Writer._position,
+    "pad": lambda _, *operands: _padded(*operands),
+    "scatter-add": lambda _, *operands: _addition(*operands),
+    "slice": Writer._channel,
+}
+"""Operations that are not elementwise: of the writer, the equation and its inputs."""
