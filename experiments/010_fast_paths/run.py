@@ -189,6 +189,7 @@ def make_rows(size: tuple[int, int]) -> list[Row]:
         GUERTIN.row("native, N = 35, 30 % of the tiles move", sparse, REFERENCE),
         GUERTIN.row("native, N = 35, nothing moves", still, REFERENCE),
         SLICES.row(LAYERED, dense, REFERENCE),
+        SLICES.row(f"{LAYERED}, XLA", dense, LAYERED, backend="xla"),
         SLICES.row(f"{LAYERED}, bilinear", dense, LAYERED, fetch="bilinear"),
         SLICES.row(f"{LAYERED}, 30 % of the tiles move", sparse, LAYERED),
         SLICES.row(f"{LAYERED}, nothing moves", still, LAYERED),

@@ -16,7 +16,7 @@ from .subjects import Subject
 
 _PACKAGE = pathlib.Path(__file__).parents[1]
 _NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show", "vectors"}
-_SOURCES = {".py", ".cc"}
+_SOURCES = {".py", ".cc", ".h"}
 SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
 _NUMBERS = {"samples": int, "radius": int, "spacing": float}
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")

@@ -33,7 +33,10 @@ def add_filter_options(
     )
     parser.set_defaults(default_filter=default)
     group.add_argument(
-        "--samples", type=positive_integer, metavar="N", help="taps per pixel (as published)"
+        "--samples",
+        type=positive_integer,
+        metavar="N",
+        help="per pixel; a third as many slices of time for layered (as published)",
     )
     group.add_argument(
         "--radius",

@@ -18,6 +18,7 @@ from .expressions import Read, Writer
 from .operations import Level, Unsupported, Value, widened
 
 TEMPLATE = pathlib.Path(__file__).with_name("kernel.cc")
+LANES = pathlib.Path(__file__).with_name("lanes.h")
 _SAMPLE_NUMBER = Value("i", "int32", Level.SAMPLE)
 
 
@@ -177,6 +178,7 @@ class _Program:
         sizes["ROWS_OF_THREE"] = ", ".join(map(str, [*self._rows_of_three, 0]))
         numbers = self._numbers | sizes | {"RESULTS": len(results)}
         texts = {name: "\n".join(map(str, lines)) for name, lines in parts.items()}
+        texts["LANES"] = LANES.read_text(encoding="utf-8")
         source = TEMPLATE.read_text(encoding="utf-8")
         for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
             source = source.replace(f"@{name}@", text)

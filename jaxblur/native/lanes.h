@@ -1,0 +1,297 @@
+/* Values of several neighboring pixels at once, one a lane: arithmetic, reads and writes. Put into
+   kernel.cc by emit.py. */
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
+
+enum {
+#ifdef __AVX512F__
+  LANES = 16, /* pixels of a row that go through the samples together */
+#else
+  LANES = 8,
+#endif
+};
+
+/* One value a lane; a comparison gives -1 where it holds and 0 elsewhere. */
+typedef float Floats __attribute__((vector_size(4 * LANES)));
+typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+
+static inline Floats wide(float a) { return a - Floats{}; }
+static inline Ints wide(int32_t a) { return a - Ints{}; }
+static inline Ints wide(bool a) { return -int32_t(a) - Ints{}; }
+
+static inline Ints lane_numbers() {
+  Ints numbers;
+  for (int k = 0; k < LANES; ++k) numbers[k] = k;
+  return numbers;
+}
+static inline Floats to_floats(Ints a) { return __builtin_convertvector(a, Floats); }
+static inline Ints to_ints(Floats a) { return __builtin_convertvector(a, Ints); }
+
+/* Maximum and minimum that give the second value if there is a NaN. Compilers do not make one
+   instruction of a choice between vectors. */
+#if defined(__AVX512F__)
+static inline Floats larger(Floats a, Floats b) {
+  return (Floats)_mm512_max_ps((__m512)a, (__m512)b);
+}
+static inline Floats smaller(Floats a, Floats b) {
+  return (Floats)_mm512_min_ps((__m512)a, (__m512)b);
+}
+#elif defined(__AVX2__)
+static inline Floats larger(Floats a, Floats b) {
+  return (Floats)_mm256_max_ps((__m256)a, (__m256)b);
+}
+static inline Floats smaller(Floats a, Floats b) {
+  return (Floats)_mm256_min_ps((__m256)a, (__m256)b);
+}
+#else
+static inline Floats larger(Floats a, Floats b) { return a > b ? a : b; }
+static inline Floats smaller(Floats a, Floats b) { return a < b ? a : b; }
+#endif
+static inline float larger(float a, float b) { return a > b ? a : b; }
+static inline float smaller(float a, float b) { return a < b ? a : b; }
+
+/* Maximum and minimum that keep NaN. */
+template <typename Value>
+static inline Value max_float(Value a, Value b) { return a != a ? a : larger(a, b); }
+template <typename Value>
+static inline Value min_float(Value a, Value b) { return a != a ? a : smaller(a, b); }
+static inline Ints max_int(Ints a, Ints b) { return a > b ? a : b; }
+static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
+static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
+static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
+
+/* The lanes in which a comparison holds, a bit each. */
+static inline uint32_t lanes_of(Ints a) {
+#if defined(__AVX512F__)
+  return _mm512_test_epi32_mask((__m512i)a, (__m512i)a);
+#elif defined(__AVX2__)
+  return _mm256_movemask_ps((__m256)a);
+#else
+  uint32_t lanes = 0;
+  for (int k = 0; k < LANES; ++k) lanes |= uint32_t(a[k] != 0) << k;
+  return lanes;
+#endif
+}
+static inline bool any(Ints a) { return lanes_of(a) != 0; }
+
+static inline int32_t largest(Ints a) {
+  int32_t most = 0;
+  for (int k = 0; k < LANES; ++k) most = a[k] > most ? a[k] : most;
+  return most;
+}
+
+static inline float sign_float(float a) { return a > 0 ? 1.0f : (a < 0 ? -1.0f : a); }
+static inline Floats sign_float(Floats a) {
+  return a > 0 ? wide(1.0f) : (a < 0 ? wide(-1.0f) : a);
+}
+static inline Floats fabsf(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
+
+#define LANE_BY_LANE(name)                                      \
+  static inline Floats name(Floats a) {                         \
+    Floats result;                                              \
+    for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k]);   \
+    return result;                                              \
+  }
+LANE_BY_LANE(ceilf)
+LANE_BY_LANE(cosf)
+LANE_BY_LANE(expf)
+LANE_BY_LANE(log1pf)
+LANE_BY_LANE(rintf)
+LANE_BY_LANE(roundf)
+LANE_BY_LANE(sinf)
+LANE_BY_LANE(sqrtf)
+LANE_BY_LANE(tanhf)
+
+/* Natural logarithm, within two units in the last place [Cephes]: of m 2^exponent, m in
+   [sqrt(1/2), sqrt(2)), that of m by a polynomial in m - 1. */
+static inline Floats logf(Floats a) {
+  const Ints usual = (a >= 0x1p-126f) & (a < INFINITY);
+  if (any(~usual)) {
+    Floats result;
+    for (int k = 0; k < LANES; ++k) result[k] = ::logf(a[k]);
+    return result;
+  }
+  const Ints bits = (Ints)a;
+  const Floats half = (Floats)((bits & 0x7fffff) | 0x3f000000); /* in [1/2, 1) */
+  const Ints low = half < 0x1.6a09e6p-1f;
+  const Floats exponent = to_floats((bits >> 23) - 126 + low);
+  const Floats x = (low ? half + half : half) - 1.0f;
+  Floats y = 7.0376836292e-2f * x - 1.1514610310e-1f;
+  y = y * x + 1.1676998740e-1f;
+  y = y * x - 1.2420140846e-1f;
+  y = y * x + 1.4249322787e-1f;
+  y = y * x - 1.6668057665e-1f;
+  y = y * x + 2.0000714765e-1f;
+  y = y * x - 2.4999993993e-1f;
+  y = y * x + 3.3333331174e-1f;
+  y = y * x * x * x - 2.12194440e-4f * exponent - 0.5f * x * x;
+  return x + y + 0.693359375f * exponent;
+}
+
+#define LANE_BY_LANE_OF_TWO(name)                                   \
+  static inline Floats name(Floats a, Floats b) {                   \
+    Floats result;                                                  \
+    for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k], b[k]); \
+    return result;                                                  \
+  }
+LANE_BY_LANE_OF_TWO(fmodf)
+LANE_BY_LANE_OF_TWO(powf)
+
+#if defined(__AVX512F__)
+static inline Floats floorf(Floats a) {
+  return (Floats)_mm512_roundscale_ps((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+}
+static inline Ints floor_to_ints(Floats a) {
+  return (Ints)_mm512_cvt_roundps_epi32((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
+}
+static inline Floats read(const float* table, Ints index) {
+  return (Floats)_mm512_i32gather_ps((__m512i)index, table, 4);
+}
+static inline Ints read(const int32_t* table, Ints index) {
+  return (Ints)_mm512_i32gather_epi32((__m512i)index, table, 4);
+}
+/* Two neighbors in memory at once: half of the loads. */
+static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
+  const double* pairs = (const double*)table;
+  const __m256i upper = _mm512_extracti64x4_epi64((__m512i)index, 1);
+  const __m512 low =
+      (__m512)_mm512_i32gather_pd(_mm512_castsi512_si256((__m512i)index), pairs, 4);
+  const __m512 high = (__m512)_mm512_i32gather_pd(upper, pairs, 4);
+  const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+  first = (Floats)_mm512_permutex2var_ps(low, even, high);
+  second = (Floats)_mm512_permutex2var_ps(low, _mm512_add_epi32(even, _mm512_set1_epi32(1)), high);
+}
+#elif defined(__AVX2__)
+static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a); }
+static inline Floats read(const float* table, Ints index) {
+  return (Floats)_mm256_i32gather_ps(table, (__m256i)index, 4);
+}
+static inline Ints read(const int32_t* table, Ints index) {
+  return (Ints)_mm256_i32gather_epi32(table, (__m256i)index, 4);
+}
+#else
+LANE_BY_LANE(floorf)
+static inline Floats read(const float* table, Ints index) {
+  Floats result;
+  for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
+  return result;
+}
+static inline Ints read(const int32_t* table, Ints index) {
+  Ints result;
+  for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
+  return result;
+}
+#endif
+
+#if !defined(__AVX512F__)
+static inline Ints floor_to_ints(Floats a) { return to_ints(floorf(a)); }
+static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
+  first = read(table, index);
+  second = read(table, index + 1);
+}
+#endif
+
+/* Lanes often read neighbors in memory, those of a plane at the same offset: one load then. */
+static inline Floats read_plane(const float* table, Ints index) {
+  const int32_t first = index[0];
+  if (any(index != first + lane_numbers())) return read(table, index);
+  Floats result;
+  memcpy(&result, table + first, sizeof result);
+  return result;
+}
+
+/* Lanes beyond the end of a row hold the row's last value; they are never written back. */
+template <typename Wide, typename Narrow>
+static inline Wide load(const Narrow* row, int lanes) {
+  Wide result;
+  for (int k = 0; k < LANES; ++k) result[k] = row[k < lanes ? k : lanes - 1];
+  return result;
+}
+static inline Floats load_floats(const float* row, int lanes) {
+  if (lanes < LANES) return load<Floats>(row, lanes);
+  Floats result;
+  memcpy(&result, row, sizeof result);
+  return result;
+}
+static inline void store(float* row, Floats values, int lanes) {
+  if (lanes == LANES) {
+    memcpy(row, &values, sizeof values);
+  } else {
+    for (int k = 0; k < lanes; ++k) row[k] = values[k];
+  }
+}
+
+/* Four vectors as rows of four, one a lane: that of lane 4 p + k is part p of rows[k]. */
+#if defined(__AVX512F__)
+static inline void make_rows(const Floats* a, Floats* rows) {
+  const __m512 low = _mm512_unpacklo_ps((__m512)a[0], (__m512)a[1]);
+  const __m512 high = _mm512_unpackhi_ps((__m512)a[0], (__m512)a[1]);
+  const __m512 more_low = _mm512_unpacklo_ps((__m512)a[2], (__m512)a[3]);
+  const __m512 more_high = _mm512_unpackhi_ps((__m512)a[2], (__m512)a[3]);
+  rows[0] = (Floats)_mm512_unpacklo_pd((__m512d)low, (__m512d)more_low);
+  rows[1] = (Floats)_mm512_unpackhi_pd((__m512d)low, (__m512d)more_low);
+  rows[2] = (Floats)_mm512_unpacklo_pd((__m512d)high, (__m512d)more_high);
+  rows[3] = (Floats)_mm512_unpackhi_pd((__m512d)high, (__m512d)more_high);
+}
+#else
+static inline void make_rows(const Floats* a, Floats* rows) {
+  for (int lane = 0; lane < LANES; ++lane)
+    for (int c = 0; c < 4; ++c) rows[lane % 4][lane / 4 * 4 + c] = a[c][lane];
+}
+#endif
+
+/* Adds a row of neighbors a lane. Lanes may meet at one place, so they add in turn. Only rows of
+   four are added whole: others would overlap, and what was just stored in part is slow to load. */
+template <int COLUMNS>
+static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS], int lanes) {
+  typedef float Four __attribute__((vector_size(16)));
+  Floats padded[4] = {}, rows[4];
+  for (int c = 0; c < COLUMNS; ++c) padded[c] = values[c];
+  make_rows(padded, rows);
+  float memory[4][LANES];
+  int32_t places[LANES];
+  memcpy(memory, rows, sizeof memory);
+  memcpy(places, &index, sizeof places);
+  for (int k = 0; k < lanes; ++k) {
+    float* place = table + places[k];
+    const float* row = memory[k % 4] + k / 4 * 4;
+    if (COLUMNS == 4) {
+      Four sum, more;
+      memcpy(&sum, place, sizeof sum);
+      memcpy(&more, row, sizeof more);
+      sum += more;
+      memcpy(place, &sum, sizeof sum);
+    } else {
+      for (int c = 0; c < COLUMNS; ++c) place[c] += row[c];
+    }
+  }
+}
+
+/* Adds a row of three a lane, to a table in which it has the room of four. The index, that of the
+   row without that room, is a multiple of 3, which the inverse of 3 modulo 2^32 divides exactly. */
+static inline void add_three(float* table, Ints index, const Floats (&values)[3], int lanes) {
+  const Floats row[4] = {values[0], values[1], values[2], Floats{}};
+  add(table, index * (int32_t)0xAAAAAAABu * 4, row, lanes);
+}
+
+/* Keeps the larger of what is there and the lane's own. Lanes may meet at one place, so they come
+   in turn. */
+static inline void keep_larger(int32_t* table, Ints places, Ints marks, int lanes) {
+  const Ints there = read(table, places);
+  uint32_t larger = lanes_of(marks > there);
+  if (larger == 0) return;
+  int32_t place[LANES], mark[LANES];
+  memcpy(place, &places, sizeof place);
+  memcpy(mark, &marks, sizeof mark);
+  for (; larger != 0; larger &= larger - 1) {
+    const int k = __builtin_ctz(larger);
+    if (k < lanes && mark[k] > table[place[k]]) table[place[k]] = mark[k];
+  }
+}
+
+static inline float joined(float a, float b) { return a + b; }
+static inline int32_t joined(int32_t a, int32_t b) { return max_int(a, b); }
