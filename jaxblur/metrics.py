@@ -9,7 +9,7 @@ differentiable JAX functions whose derivatives stay finite where two images agre
 pixel gives NaN, except in :func:`compare`, which refuses it.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -76,8 +76,12 @@ def mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
 
     Returns:
         Scalar, at least 0.
+
+    Raises:
+        ValueError: shapes differ; so does every measure here.
     """
-    return _masked_mean(jnp.square(jnp.asarray(image) - truth), mask)
+    image, truth = _of_one_shape(image, truth)
+    return _masked_mean(jnp.square(image - truth), mask)
 
 
 def psnr(image: Image, truth: Image, peak: float = 1.0, mask: Mask | None = None) -> Scalar:
@@ -115,7 +119,7 @@ def relative_mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar
     Source: Rousselle, Knaus, Zwicker 2011, "Adaptive sampling and reconstruction using greedy
     error minimization".
     """
-    truth = jnp.asarray(truth)
+    image, truth = _of_one_shape(image, truth)
     return _masked_mean(
         jnp.square(image - truth) / (jnp.square(truth) + RELATIVE_FLOOR),
         mask,
@@ -135,7 +139,7 @@ def smape(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
 
     Source: Vogels et al. 2018, "Denoising with kernel prediction and asymmetric loss functions".
     """
-    image, truth = jnp.asarray(image), jnp.asarray(truth)
+    image, truth = _of_one_shape(image, truth)
     scale = _absolute(image) + _absolute(truth) + RELATIVE_FLOOR
     return _masked_mean(_absolute(image - truth) / scale, mask)
 
@@ -156,14 +160,14 @@ def ssim(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
         Scalar in [-1, 1]; 1 for equal images.
 
     Raises:
-        ValueError: the image is smaller than the window.
+        ValueError: the image is smaller than the window, or shapes differ.
 
     Source: Wang, Bovik, Sheikh, Simoncelli 2004, "Image quality assessment: from error
     visibility to structural similarity", equation 13.
     """
     import dm_pix
 
-    image, truth = jnp.asarray(image), jnp.asarray(truth)
+    image, truth = _of_one_shape(image, truth)
     if min(image.shape[:2]) < SSIM_WINDOW:
         raise ValueError(
             f"`image` must have at least {SSIM_WINDOW} rows and columns for SSIM, "
@@ -347,6 +351,16 @@ def _sweep(path: np.ndarray, moving: np.ndarray, reach: float) -> np.ndarray:
             inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
             swept[row[inside], column[inside]] = True
     return swept
+
+
+def _of_one_shape(image: Any, truth: Any) -> tuple[jax.Array, jax.Array]:
+    """Both as JAX arrays; they may not be stretched to each other's shape."""
+    image, truth = jnp.asarray(image), jnp.asarray(truth)
+    if image.shape != truth.shape:
+        raise ValueError(
+            f"`image` and `truth` must have one shape, got {image.shape} and {truth.shape}."
+        )
+    return image, truth
 
 
 def _masked_mean(values: jax.Array, mask: Mask | None) -> jax.Array:

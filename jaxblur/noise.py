@@ -110,10 +110,15 @@ def resolve_noise(noise: Noise | None, kind: NoiseKind, height: int, width: int)
         Noise for a frame of this size.
 
     Raises:
+        TypeError: ``noise`` is something else.
         ValueError: an array of ``noise`` has the wrong shape.
     """
     if noise is None:
         return make_noise(kind, height, width)
+    if not isinstance(noise, Noise):
+        raise TypeError(
+            f"`noise` must be a jaxblur.Noise of `tap` and `tile`, got {type(noise).__name__}."
+        )
     for name, shape in (("tap", (height, width)), ("tile", (height, width, 2))):
         actual = jnp.shape(getattr(noise, name))
         if actual != shape:

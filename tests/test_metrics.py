@@ -101,6 +101,13 @@ def test_ssim_refuses_images_smaller_than_its_window():
         metrics.ssim(*pair((10, 20, 3)))
 
 
+def test_other_shapes_are_refused_and_not_stretched():
+    # The type checker of the tests refuses them before the public functions do.
+    image, truth = pair((12, 20, 3))
+    with pytest.raises(ValueError, match=r"one shape, got \(12, 20, 3\) and \(12, 20, 1\)"):
+        metrics._of_one_shape(image, truth[..., :1])
+
+
 @pytest.mark.parametrize("name", ["mse", "psnr", "relative_mse", "smape"])
 def test_a_mask_equals_cropping(name):
     image, truth = pair()

@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -78,3 +80,9 @@ def test_explicit_noise_of_another_shape_is_refused(change, message):
         jaxblur.guertin2014(
             random_frame((4, 5)), jaxblur.GuertinParameters(), noise=jaxblur.Noise(**arrays)
         )
+
+
+def test_noise_that_is_no_noise_is_refused():
+    noise: Any = jnp.zeros((4, 5))
+    with pytest.raises(TypeError):
+        jaxblur.layered(random_frame((4, 5)), jaxblur.LayeredParameters(), noise=noise)
