@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     name, parameters, settings = complete(arguments)
     frames, truths = pair_files(arguments.frames, arguments.truth)
     holdout = held_out(frames, arguments.holdout)
-    _check_free(name, arguments.free or ())
+    published.check_names(name, arguments.free or (), "--free")
     _check_output(arguments, [*frames, *truths])
     pairs = [_read_pair(arguments, *files) for files in zip(frames, truths, strict=True)]
     settings = _with_radius(settings, arguments, pairs)
@@ -165,16 +165,6 @@ def run(arguments: argparse.Namespace) -> int:
     state.unlink(missing_ok=True)
     _report(arguments.output, result)
     return 0
-
-
-def _check_free(name: str, free: Sequence[str]) -> None:
-    """Refuse what the filter does not have, before frames are read."""
-    table = published.FILTERS[name].parameters
-    for parameter in free:
-        if parameter not in table:
-            known = f"it has {', '.join(table)}" if table else "it has none"
-            hint = did_you_mean(parameter, table)
-            raise CommandError(f"--free: {name} has no parameter {parameter!r}{hint}; {known}.")
 
 
 def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:

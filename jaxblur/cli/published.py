@@ -5,7 +5,7 @@ A test holds this table against `jaxblur.filters.PUBLISHED`.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from jaxblur.settings import Fetch
 
@@ -128,15 +128,31 @@ def checked_parameters(
         CommandError: the filter has no such parameter, or a value is out of range.
     """
     table = FILTERS[name].parameters
+    check_names(name, given, source)
     for parameter, value in given.items():
-        if parameter not in table:
-            known = f"it has {', '.join(table)}" if table else "it has none"
-            hint = did_you_mean(parameter, table)
-            raise CommandError(f"{source}: {name} has no parameter {parameter!r}{hint}; {known}.")
         if not table[parameter].allows(value):
             allowed = table[parameter].range()
             raise CommandError(f"{source}: {parameter} must be {allowed}, got {value:g}.")
     return {parameter: known.default for parameter, known in table.items()} | dict(given)
+
+
+def check_names(name: str, parameters: Iterable[str], source: str) -> None:
+    """Refuse parameters that a filter does not have.
+
+    Args:
+        name: a key of `FILTERS`.
+        parameters: their names.
+        source: where they come from, for the message.
+
+    Raises:
+        CommandError: there is one.
+    """
+    table = FILTERS[name].parameters
+    for parameter in parameters:
+        if parameter not in table:
+            known = f"it has {', '.join(table)}" if table else "it has none"
+            hint = did_you_mean(parameter, table)
+            raise CommandError(f"{source}: {name} has no parameter {parameter!r}{hint}; {known}.")
 
 
 def describe_filters() -> str:
