@@ -353,6 +353,18 @@ def test_a_loop_carries_values_on():
         assert (result[..., 2] == 4).all()
 
 
+def test_samples_and_results_for_the_rest_do_not_go_together():
+    plane = jnp.ones((2, 3, 1))
+    stages = native.Stages(
+        moving=lambda local, _: (local > 0, ()),
+        prepare=lambda local, tables, found: local,
+        sample=lambda index, local, _: (local * index,),
+        rest=lambda local, tables, found: [local],
+    )
+    with pytest.raises(ValueError, match=r"`stages.rest` is for stages without samples"):
+        gathers.gather_samples(stages, 3, plane, plane, ())
+
+
 def test_loops_without_a_native_form_are_named():
     def over_arrays(i, a, t):
         return a + jax.lax.scan(lambda c, x: (c + x, None), 0.0, jnp.ones(3))[0] * i
