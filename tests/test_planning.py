@@ -221,7 +221,7 @@ def test_the_command_line_plans_and_says_why(tmp_path):
         (("--tolerance", "1"), "--tolerance: only --plan auto takes it"),
         (("--budget", "1"), "--budget: only --plan auto takes it"),
         (("--plan", "auto", "--budget", "0"), "expected a number above 0, got '0'"),
-        (("--plan", "auto", "--budget", "1e-6"), "--plan auto: `budget_ms` must be at least"),
+        (("--plan", "auto", "--budget", "1e-6"), "--plan auto: --budget must be at least"),
     ],
 )
 def test_options_that_contradict_a_plan_are_refused(tmp_path, options, message):
