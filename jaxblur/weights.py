@@ -7,7 +7,7 @@ little as possible. At the bounds of a ``clip`` the derivative is JAX's (half th
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 SPEED_FLOOR = 0.5
 """Half a pixel: slower points are as sharp as a pixel can show [McGuire 2012, listing 1]."""
@@ -27,6 +27,21 @@ def floored_speed(speed: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         Floored norms in pixels.
     """
     return jnp.maximum(speed, SPEED_FLOOR)
+
+
+def anything_moves(vectors: Float[Array, "*shape"]) -> Bool[Array, ""]:
+    """Whether any vector may be longer than the floor; NaN counts as one that is.
+
+    Whether the sum of all squares is above the floor's. On a CPU XLA makes a quick loop of that sum
+    and of no other, and it keeps NaN, where the maximum loses what it has found when it meets one.
+
+    Args:
+        vectors: their components, pixels.
+
+    Returns:
+        False only if every vector is within the floor.
+    """
+    return ~(jnp.sum(vectors * vectors) <= SPEED_FLOOR**2)
 
 
 def cone(distance: Float[Array, "*a"], inverse_speed: Float[Array, "*b"]) -> Float[Array, "*c"]:

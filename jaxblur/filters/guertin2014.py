@@ -33,6 +33,7 @@ from ..tiles import (
 )
 from ..weights import (
     SPEED_FLOOR,
+    anything_moves,
     cone,
     cylinder,
     finite_depth,
@@ -221,6 +222,13 @@ def _reconstruct(frame, local, tables, settings):
     return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
 
 
+def _checked(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, GuertinParameters]:
+    """Frame and parameters in one dtype."""
+    check_parameters(parameters, GuertinParameters)
+    frame = check_frame(frame)
+    return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+
+
 def prepare_frame(
     frame: Frame, parameters: GuertinParameters, settings: Settings
 ) -> tuple[Frame, GuertinParameters, jax.Array, jax.Array]:
@@ -238,20 +246,20 @@ def prepare_frame(
     Raises:
         ValueError: shapes disagree.
     """
-    check_parameters(parameters, GuertinParameters)
-    frame = check_frame(frame)
-    parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+    frame, parameters = _checked(frame, parameters)
     speed = safe_norm(frame.velocity[..., 0], frame.velocity[..., 1])
     tiles = dominant_velocity(frame.velocity, speed, settings.radius, settings.diagonal_tiles)
     return frame, parameters, speed, tiles
 
 
-def _blur_all(settings, frame, speed, tiles, noise, parameters, _anything):
+def _blur_all(settings, frame, noise, parameters, _anything):
     """The image for each choice of tile, (K, H, W, C)."""
+    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
     local, tables = _buffers(frame, speed, tiles, noise, parameters, settings)
     if settings.tile_choice != "expected":
         return _reconstruct(frame, local, tables, settings)[None]
-    indices, _ = reachable_tiles(frame.depth.shape, settings.radius, parameters.tau)
+    tau = jnp.asarray(parameters.tau)
+    indices, _ = reachable_tiles(frame.depth.shape, settings.radius, tau)
     return lax.map(
         lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
         indices,
@@ -336,8 +344,8 @@ def tile_outcomes(
     """
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
-    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
-    anything = jnp.any(safe_norm(tiles[..., 0], tiles[..., 1]) > SPEED_FLOOR)
+    frame, parameters = _checked(frame, parameters)
+    anything = anything_moves(frame.velocity)
 
     if settings.tile_choice == "expected":
         tau = jnp.asarray(parameters.tau)
@@ -346,7 +354,7 @@ def tile_outcomes(
         chances = jnp.ones((1, *frame.depth.shape), frame.color.dtype)
     colors = cond_of_values(
         *(anything, functools.partial(_blur_all, settings), functools.partial(_keep, len(chances))),
-        (frame, speed, tiles, noise, parameters, anything),
+        (frame, noise, parameters, anything),
     )
     return (divide_by_mask(colors) if masked else colors), chances
 

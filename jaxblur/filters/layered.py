@@ -32,7 +32,7 @@ from ..sampling import (
 )
 from ..settings import Settings
 from ..tiles import own_tile, shortening
-from ..weights import SPEED_FLOOR
+from ..weights import SPEED_FLOOR, anything_moves
 from .masking import honoring_mask
 from .reaching import fine_tile, reaching_pixels
 from .silhouettes import purest_motion, taken_from
@@ -349,9 +349,7 @@ def layered(
     frame = check_frame(frame)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     vectors = frame.velocity if frame.path is None else frame.path
-    # A sum of squares within the floor's: no vector above it. A sum is quick and keeps NaN; XLA's
-    # maximum on a CPU loses what it has found when it meets one.
-    anything = ~(jnp.sum(vectors * vectors) <= SPEED_FLOOR**2)
+    anything = anything_moves(vectors)
     return cond_of_values(
         *(anything, functools.partial(_blur, settings), _keep),
         (frame, parameters, noise, anything),

@@ -130,7 +130,7 @@ def _compare_pixels(image, radius, local, tables, _):
             index = start + jnp.minimum(left + j, width - 1)
             x, y, depth = read_row(tables["motion"], index, 4, 3)
             speed = _at_most(radius**2, jnp.square(x) + jnp.square(y))
-            number = jnp.where(speed > fastest, (k * size + j).astype(number.dtype), number)
+            number = jnp.where(speed > fastest, jnp.asarray(k * size + j, number.dtype), number)
             fastest = jnp.where(speed > fastest, speed, fastest)
             return fastest, number, jnp.where(depth > farthest, depth, farthest)
 
