@@ -1,5 +1,6 @@
 """How far a sequence is, on a terminal and elsewhere."""
 
+import contextlib
 import logging
 import os
 import pty
@@ -34,6 +35,15 @@ def blur_four_frames():
             tell(f"frame {frame} ok")
 
 
+def everything(reader):
+    """What was written to a pseudo terminal that is closed by now; it comes piece by piece."""
+    pieces = []
+    with contextlib.suppress(OSError), os.fdopen(reader, "rb", buffering=0) as terminal:
+        while piece := terminal.read(100_000):
+            pieces.append(piece)
+    return b"".join(pieces).decode()
+
+
 def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch, handler):
     reader, writer = pty.openpty()
     for name, value in {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "24"}.items():
@@ -42,8 +52,7 @@ def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch, handler):
         monkeypatch.setattr(sys, "stderr", terminal)
         handler.setStream(terminal)
         blur_four_frames()
-        shown = os.read(reader, 100_000).decode()
-    os.close(reader)
+    shown = everything(reader)
     plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", shown)
     assert re.search(r"frames ━+ +0/4 0.00 frames/s +-:--:-- left", plain)
     rate = re.search(r"4/4 (\d+\.\d\d) frames/s +0:00:00 left", plain)
