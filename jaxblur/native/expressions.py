@@ -45,6 +45,11 @@ class Read:
         return f"const Floats {self.name} = {self._function}({place});"
 
 
+def _opened(jaxpr: Any) -> tuple[Any, Sequence[Any]]:
+    """A jaxpr and its constants; versions of JAX differ in whether it comes closed."""
+    return (jaxpr.jaxpr, jaxpr.consts) if isinstance(jaxpr, core.ClosedJaxpr) else (jaxpr, ())
+
+
 def _is_flat(equation: Any) -> bool:
     """Whether a read or an addition is that of one element of a flat table, known to be inside."""
     promised = equation.params["mode"] == jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
@@ -201,11 +206,9 @@ class Writer:
         name, parameters = equation.primitive.name, equation.params
         if name in _INNER:
             inner = parameters.get("jaxpr") or parameters.get("call_jaxpr")
-            if isinstance(inner, core.ClosedJaxpr):
-                return self.walk(inner.jaxpr, inner.consts, inputs)
-            return self.walk(inner, (), inputs)
+            return self.walk(*_opened(inner), inputs)
         if name == "scan":
-            return self._loop(parameters, inputs)
+            return self._loop(equation, inputs)
         if name in _OF_ARRAYS:
             return [_OF_ARRAYS[name](self, equation, *inputs)]
         if name in ("add", "add_any") and any(v.additions or v.columns for v in inputs):
@@ -215,10 +218,14 @@ class Writer:
             return [literal(inputs[0].number.astype(dtype))]
         return [self._operation(name, parameters, inputs, dtype)]
 
-    def _loop(self, parameters: Any, inputs: list[Value]) -> list[Value]:
+    def _loop(self, equation: Any, inputs: list[Value]) -> list[Value]:
         """A loop that carries values on, as `lax.fori_loop` of known length makes it."""
-        body, constants = parameters["jaxpr"], parameters["num_consts"]
-        if len(inputs) != constants + len(body.jaxpr.outvars) or parameters["reverse"]:
+        length, (body, consts) = equation.params["length"], _opened(equation.params["jaxpr"])
+        constants = len(inputs) - len(body.outvars)
+        # Arrays that it runs over have an axis less within.
+        outside, within = (*equation.invars, *equation.outvars), (*body.invars, *body.outvars)
+        pairs = zip(outside, within, strict=True)
+        if any(a.aval.shape != b.aval.shape for a, b in pairs) or equation.params["reverse"]:
             raise Unsupported("a scan over arrays")
         if any(value.level & Level.SAMPLE for value in inputs):
             raise Unsupported("a loop within a sample")
@@ -227,8 +234,8 @@ class Writer:
             for value in inputs[constants:]
         ]
         statements = self._statements(Level.PIXEL)
-        statements.append(f"for (int32_t step = 0; step < {parameters['length']}; ++step) {{")
-        results = self.walk(body.jaxpr, body.consts, [*inputs[:constants], *carried])
+        statements.append(f"for (int32_t step = 0; step < {length}; ++step) {{")
+        results = self.walk(body, consts, [*inputs[:constants], *carried])
         # All of them are found before one changes.
         found = [
             self.define(widened(value, Level.PIXEL).code, value.dtype, Level.PIXEL)
