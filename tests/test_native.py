@@ -365,6 +365,14 @@ def test_samples_and_results_for_the_rest_do_not_go_together():
         gathers.gather_samples(stages, 3, plane, plane, ())
 
 
+def test_a_part_of_the_samples_has_no_native_form():
+    def one_of_them(i, a, t):
+        return (a * (i + 1.0))[..., :1] + 0 * i
+
+    with pytest.raises(ValueError, match="a slice other than of one channel"):
+        sum_of(one_of_them)
+
+
 def test_loops_without_a_native_form_are_named():
     def over_arrays(i, a, t):
         return a + jax.lax.scan(lambda c, x: (c + x, None), 0.0, jnp.ones(3))[0] * i

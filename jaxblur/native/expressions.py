@@ -303,13 +303,13 @@ class Writer:
         return Value(read.name, "float32", level)
 
     def _channel(self, equation: Any, image: Value) -> Value:
-        """A channel of an image, at the pixel itself."""
+        """A channel of an image, at the pixel itself; all of anything is that itself."""
+        if equation.outvars[0].aval.shape == equation.invars[0].aval.shape:
+            return image
         parameters = equation.params
         (*corner, channel), last = parameters["start_indices"], parameters["limit_indices"]
-        if any(corner) or len(last) != 3 or last[2] != channel + 1 or image.table:
+        if not image.channels or any(corner) or last[2] != channel + 1:
             raise Unsupported("a slice other than of one channel")
-        if not image.channels:
-            return image
         return self._define_read(image.code, f"own * {image.channels}", channel, Level.PIXEL)
 
     def _position(self, equation: Any) -> Value:

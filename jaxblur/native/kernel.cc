@@ -160,7 +160,7 @@ static int count_helpers(XLA_FFI_CallFrame* frame) {
   count.ctx = frame->ctx;
   count.num_threads = &threads;
   if (refused(frame->api, frame->api->XLA_FFI_ThreadPool_NumThreads(&count))) return 0;
-  return (int)threads - 1;
+  return threads > 1 ? (int)threads - 1 : 0;
 }
 
 /* Tables of every part; the first has the result's own, but for rows of three. Calloc hands out
