@@ -53,6 +53,12 @@ def test_help_version_and_path_errors_do_not_load_jax(tmp_path):
     assert not os.path.exists(out)
 
 
+def test_nothing_is_said_to_be_left_over_at_the_end(tmp_path):
+    result = spawn("blur", CAR, "-o", tmp_path / "out.exr", "--backend", "xla", "--samples", "3")
+    assert result.returncode == 0, result.stderr
+    assert all(line.startswith("jaxblur: ") for line in result.stderr.splitlines())
+
+
 def test_the_module_runs_and_gives_its_status():
     assert spawn("--version").stdout == f"jaxblur {jaxblur.__version__}\n"
     result = spawn("info", "missing.exr")

@@ -183,3 +183,23 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     )
     assert "starting; before the first step" in outcome.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("crop", [(), ("--crop", "40x30+8+4")])
+def test_paths_are_followed_where_they_are_followed_by_blur(tmp_path, monkeypatch, crop):
+    class Stop(Exception):
+        pass
+
+    frames = []
+
+    def fit(name, pairs, **options):
+        frames.extend(frame for frame, _ in pairs)
+        raise Stop
+
+    monkeypatch.setattr("jaxblur.fitting.fit", fit)
+    with pytest.raises(Stop):
+        run("fit", CAR, "--truth", TRUTH, "-o", tmp_path / "f.toml", "--filter", "layered", *crop)
+    path = exr.read_buffers(CAR).path
+    assert path is not None
+    expected = path[4:34, 8:48] if crop else path
+    np.testing.assert_array_equal(frames[0].path, expected)

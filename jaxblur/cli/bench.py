@@ -75,10 +75,7 @@ def add_parser(commands: Any) -> None:
     _add_grid_options(parser)
     group = parser.add_argument_group("regression guard")
     group.add_argument(
-        "--compare",
-        type=file_path,
-        metavar="OLD.csv",
-        help="an earlier RESULTS.csv",
+        "--compare", type=file_path, metavar="OLD.csv", help="an earlier RESULTS.csv"
     )
     group.add_argument(
         "--tolerance",

@@ -1,6 +1,7 @@
 """Load jax, once everything that does not need it has been checked."""
 
 import atexit
+import functools
 import gc
 import logging
 import os
@@ -10,6 +11,16 @@ from jaxblur.folders import cache_folder
 from .interrupts import held_back
 
 LOG = logging.getLogger("jaxblur")
+
+
+@functools.cache
+def _spare_the_collector() -> None:
+    """What was imported stays: the collector, busy while functions are traced, leaves it alone.
+
+    Once a process. At the end it gets all back, or libraries report what was not freed.
+    """
+    gc.freeze()
+    atexit.register(gc.unfreeze)
 
 
 def start_jax(compile_cache: bool) -> None:
@@ -27,9 +38,7 @@ def start_jax(compile_cache: bool) -> None:
 
         from jaxblur.native import keep_kernels
 
-    # What was imported stays: the collector, busy while functions are traced, need not look at it.
-    gc.freeze()
-    atexit.register(gc.unfreeze)
+    _spare_the_collector()
     keep_kernels(compile_cache)
     if not compile_cache:
         return
