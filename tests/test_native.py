@@ -1,10 +1,8 @@
 """Native kernels: equal to XLA's, used where they can be, and left alone where they cannot."""
 
-import concurrent.futures
 import dataclasses
 import functools
 import logging
-import os
 from typing import Any
 
 import jax
@@ -14,7 +12,7 @@ import pytest
 
 import jaxblur
 from jaxblur import gathers, native, sample_sums, sampling
-from jaxblur.native import build, emit
+from jaxblur.native import build
 from jaxblur.settings import Backend
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
@@ -427,71 +425,6 @@ def test_without_a_compiler_xla_does_the_work(monkeypatch):
     np.testing.assert_array_equal(ours, sum_of(OPERATIONS["powers"], backend="xla"))
 
 
-def tiny_program(count):
-    """A kernel that no other test compiles."""
-    stages = native.Stages(
-        moving=lambda local, _: (local > 0, ()),
-        prepare=lambda local, tables, found: local,
-        sample=lambda index, local, _: (local * index,),
-        finish=lambda sums, *_: sums,
-    )
-    plane = jax.ShapeDtypeStruct((2, 3, 1), jnp.float32)
-    return emit.emit_gather(stages, count, (2, 3), plane, ()).source
-
-
-def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_path):
-    broken = tmp_path / "c++"
-    broken.write_text("#!/bin/sh\necho 'no such thing as vectors' >&2\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "_failure", None)
-    with pytest.raises(build.BuildFailed, match="no such thing as vectors"):
-        build.register(tiny_program(101))
-    assert list((tmp_path / "jaxblur" / "kernels").iterdir()) == []
-
-
-def test_a_compiler_that_fails_is_asked_once_and_warned_of_once(monkeypatch, tmp_path, caplog):
-    broken = tmp_path / "c++"
-    broken.write_text(
-        "#!/bin/sh\necho x >> $0.calls\necho 'kernel.cc: In function' >&2\n"
-        "echo 'kernel.cc:1: error: no such name' >&2\nexit 1\n"
-    )
-    broken.chmod(0o755)
-    monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "_failure", None)
-
-    def one(i, a, t):  # Kernels that no other test compiles.
-        return a * 101 + i
-
-    def other(i, a, t):
-        return a * 103 + i
-
-    np.testing.assert_array_equal(sum_of(one, backend="auto"), sum_of(one, backend="xla"))
-    sum_of(other, backend="auto")
-    calls = (tmp_path / "c++.calls").read_text().splitlines()
-    assert len(calls) == len(build.MACHINE_FLAGS)
-    (warning,) = [record for record in caplog.records if record.levelname == "WARNING"]
-    words = warning.getMessage()
-    assert words.endswith("error: no such name; XLA does its work, several times as slow")
-    with pytest.raises(ValueError, match=r"'native', but .*error: no such name; use"):
-        sum_of(one)
-
-
-def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    source = tiny_program(102)
-    with concurrent.futures.ThreadPoolExecutor(3) as pool:
-        names = set(pool.map(build.register, [source] * 3))
-    folder = tmp_path / "jaxblur" / "kernels"
-    assert [path.name for path in folder.iterdir()] == [f"{name}.so" for name in names]
-    assert folder.stat().st_mode & 0o077 == 0
-
-
 def test_samples_beyond_the_limit_are_left_out_of_values_and_derivatives():
     # Their terms should be 0; these are not, so that one sees how many were summed.
     stages = native.Stages(
@@ -510,25 +443,3 @@ def test_samples_beyond_the_limit_are_left_out_of_values_and_derivatives():
     np.testing.assert_array_equal(total(plane), 3)
     np.testing.assert_array_equal(value, 3)
     np.testing.assert_array_equal(change, 3)
-
-
-def test_the_oldest_kernels_go_first(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "MOST_KERNELS", 2)
-    folder = tmp_path / "jaxblur" / "kernels"
-    folder.mkdir(parents=True, mode=0o700)
-    for age, name in enumerate(("new", "old", "oldest")):
-        (folder / f"{name}.so").touch()
-        os.utime(folder / f"{name}.so", (0, 1000 - age))
-    # What another process removes meanwhile has no age.
-    (folder / "gone.so").symlink_to(folder / "nowhere")
-    name = build.register(tiny_program(104))
-    assert sorted(path.stem for path in folder.iterdir()) == sorted([name, "new"])
-
-
-def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path):
-    (tmp_path / "jaxblur").write_text("a file where the folder should be")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    assert build.register(tiny_program(103)).startswith("jaxblur_sum_")
