@@ -99,12 +99,14 @@ def _guess(size, border, interpolates, time, way, tables, local):
     read_x, read_y, depth = read_row(tables["motion"], texels.index, 4, 3)
     apart_x, apart_y = read_x - x + time * turn_x, read_y - y + time * turn_y
     apart = jnp.square(apart_x) + jnp.square(apart_y)
-    lands = jnp.clip(1.5 - squared * apart * local["inverse_tolerance"], 0, 1)
-    depth_apart = jnp.abs(depth - local["depth"])
-    same = jnp.clip(1.5 - apart * local["inverse_own"], 0, 1)
-    same = same * jnp.clip(1.5 - local["surface_sharpness"] * depth_apart, 0, 1)
-    same = own * same
-    lands = jnp.where(texels.counts, jnp.where(lands > same, lands, same), 0)
+    depth_apart = local["surface_sharpness"] * jnp.abs(depth - local["depth"])
+    # It lands if it hardly misses the pixel, or hardly differs from the pixel's surface. Where two
+    # of these are the same the derivative is that of one.
+    misses = squared * apart * local["inverse_tolerance"]
+    velocity_apart = apart * local["inverse_own"]
+    differs = jnp.where(velocity_apart > depth_apart, velocity_apart, depth_apart) + 1.5 * (1 - own)
+    lands = jnp.clip(1.5 - jnp.where(misses < differs, misses, differs), 0, 1)
+    lands = jnp.where(texels.counts, lands, 0)
     if interpolates:
         color = read_color_along(tables["color"], texels, size, jnp.abs(x) >= jnp.abs(y))
     else:
@@ -117,9 +119,10 @@ def _visible(lands, depths, sharpness):
     shares = list(lands)
     for j, k in itertools.combinations(range(len(lands)), 2):
         # How surely j is in front of k, or k of j. Equal depths differ by 0, whatever is rounded.
-        behind = sharpness * (depths[k] - depths[j])
-        shares[k] = shares[k] * (1 - lands[j] * jnp.clip(behind, 0, 1))
-        shares[j] = shares[j] * (1 - lands[k] * jnp.clip(-behind, 0, 1))
+        order = jnp.clip(sharpness * (depths[k] - depths[j]), -1, 1)
+        behind = jnp.maximum(order, 0)
+        shares[k] = shares[k] * (1 - lands[j] * behind)
+        shares[j] = shares[j] * (1 - lands[k] * (behind - order))
     empty = functools.reduce(jnp.multiply, [1 - landed for landed in lands])
     total = functools.reduce(jnp.add, shares)
     filled = (1 - empty) / jnp.maximum(total, 1e-6)
@@ -134,7 +137,7 @@ def _slice(size, settings, count, index, local, tables):
     interpolates = (settings.fetch == "bilinear", False, False)
     guesses = [
         _guess(size, settings.border, mixes, time, way, tables, local)
-        for mixes, time, way in zip(interpolates, times, local["ways"], strict=True)
+        for mixes, time, way in zip(interpolates, times, _ways(local), strict=True)
     ]
     texels, lands, depths, colors = zip(*guesses, strict=True)
     sharpness = local["front_sharpness"]
@@ -204,19 +207,20 @@ def _others(x, y, velocities, local):
     return others
 
 
-def _ways(velocity, half, turn, others, local):
+def _ways(local):
     """The three ways to guess along: velocity, turn, bend and share of "own" of each.
 
     A point s gets to p at time t if ``s + t v(s) + t^2 a(s) = p``, a being half its acceleration;
     to second order ``s = p - t v + t^2 ((v . grad) v - a)``. Where no path tells a, velocities
     are taken to stay where they are in the image, and a is half the turn.
     """
+    turn, half = local["turn"], local["half"]
     if half:
         bend = [part - other for part, other in zip(turn, half, strict=True)]
     else:
         bend = [local["bend"] * part for part in turn]
-    ways = [(velocity, turn, bend, 1.0)]
-    for x, y, own in others:
+    ways = [(local["velocity"], turn, bend, 1.0)]
+    for x, y, own in local["others"]:
         ways.append(((x, y), [own * part for part in turn], [own * part for part in bend], own))
     return ways
 
@@ -251,9 +255,12 @@ def _prepare(size, settings, local, tables, found):
     moving = squared > SPEED_FLOOR**2
     for _, _, own in others:
         moving = moving | (own < 1)
-    kept = ("front_sharpness", "surface_sharpness")
+    kept = ("front_sharpness", "surface_sharpness", "bend")
     needed = {
-        "ways": _ways((x, y), half, _turn(size, found[0], local, tables), others, local),
+        "velocity": (x, y),
+        "turn": _turn(size, found[0], local, tables),
+        "half": half,
+        "others": others,
         "depth": depth,
         "moving": moving.astype(x.dtype),
         "inverse_own": 1 / tolerance,

@@ -135,6 +135,14 @@ def _base(name: str, code: str, inputs: Sequence[Value]) -> tuple[str, int, int]
     return inputs[0].code, number, factor
 
 
+def _compared(name: str, operands: Sequence[Value]) -> tuple[str, str, str] | None:
+    """What chooses between two floats as their comparison does."""
+    functions = {"gt": "larger", "lt": "smaller"}
+    if name not in functions or operands[0].dtype != "float32":
+        return None
+    return functions[name], operands[0].code, operands[1].code
+
+
 class Writer:
     """Collects the statements of each level while walking through jaxprs.
 
@@ -265,8 +273,13 @@ class Writer:
         floored = inputs[0].code if name == "floor" else ""
         reciprocal = _reciprocal(inputs) if name == "select_n" else ""
         result = self.define(code, dtype, level)
-        base = _base(name, result.code, inputs)
-        return dataclasses.replace(result, base=base, floored=floored, reciprocal=reciprocal)
+        return dataclasses.replace(
+            result,
+            base=_base(name, result.code, inputs),
+            compared=_compared(name, operands),
+            floored=floored,
+            reciprocal=reciprocal,
+        )
 
     def _sum(self, equation: Any, first: Value, second: Value) -> Value:
         """The sum of two tables that taps add to, or of two images put together from planes."""

@@ -249,6 +249,10 @@ static inline void make_rows(const Floats* a, Floats* rows) {
 template <int COLUMNS>
 static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS], int lanes) {
   typedef float Four __attribute__((vector_size(16)));
+  Ints some = {};
+  for (int c = 0; c < COLUMNS; ++c) some |= values[c] != 0;
+  uint32_t adding = lanes_of(some) & (0xffffffffu >> (32 - lanes));
+  if (adding == 0) return;
   Floats padded[4] = {}, rows[4];
   for (int c = 0; c < COLUMNS; ++c) padded[c] = values[c];
   make_rows(padded, rows);
@@ -256,7 +260,8 @@ static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS]
   int32_t places[LANES];
   memcpy(memory, rows, sizeof memory);
   memcpy(places, &index, sizeof places);
-  for (int k = 0; k < lanes; ++k) {
+  for (; adding != 0; adding &= adding - 1) {
+    const int k = __builtin_ctz(adding);
     float* place = table + places[k];
     const float* row = memory[k % 4] + k / 4 * 4;
     if (COLUMNS == 4) {

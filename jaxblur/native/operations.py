@@ -38,6 +38,8 @@ class Value:
         number: what it is, where that is known.
         base: (expression, whole number, factor) if it is an index that is known to be that number
             more than the expression, and that a multiple of the factor.
+        compared: the function that gives the first or the second of two expressions as it holds or
+            not, and the two, where it is the comparison of two floats.
         floored: the expression that it is the floor of, where that is known.
         reciprocal: the expression of one by it, where that is exact.
         additions: (index, value) pairs, where it is a table that taps add to.
@@ -51,6 +53,7 @@ class Value:
     channels: int = 0
     number: Any = None
     base: tuple[str, int, int] | None = None
+    compared: tuple[str, str, str] | None = None
     floored: str = ""
     reciprocal: str = ""
     additions: "tuple[tuple[Value, Value], ...]" = ()
@@ -138,6 +141,8 @@ def widened(value: Value, level: Level) -> Value:
 def _select(_, which: Value, *cases: Value) -> str:
     if which.dtype != "bool" or len(cases) != 2:
         raise Unsupported("select_n of an integer")
+    if which.compared and which.compared[1:] == (cases[1].code, cases[0].code):
+        return f"{which.compared[0]}({cases[1].code}, {cases[0].code})"
     return f"({which.code} ? {cases[1].code} : {cases[0].code})"
 
 

@@ -203,10 +203,13 @@ def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, sett
             x, y = t * t * bend - t * u
             where, counts = at_texel(row, column, x, y, depth.shape, settings["border"])
             miss = motion[where][:2] - u + t * turn
-            lands = clip01(1.5 - t * t * (miss @ miss) / parameters["landing_tolerance"] ** 2)
-            same = clip01(1.5 - (miss @ miss) / (parameters["own_tolerance"] ** 2 * (v @ v + 0.25)))
-            same *= clip01(1.5 - parameters["surface_sharpness"] * abs(depth[where] - here))
-            lands = max(lands, own * same) if counts else 0.0
+            misses = t * t * (miss @ miss) / parameters["landing_tolerance"] ** 2
+            differs = max(
+                (miss @ miss) / (parameters["own_tolerance"] ** 2 * (v @ v + 0.25)),
+                parameters["surface_sharpness"] * abs(depth[where] - here),
+            )
+            differs += 1.5 * (1 - own)
+            lands = clip01(1.5 - min(misses, differs)) if counts else 0.0
             if k == 0 and settings["fetch"] == "bilinear":
                 seen = between(color, row + y, column + x, 1 if abs(u[0]) >= abs(u[1]) else 0)
             else:
