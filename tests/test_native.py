@@ -274,6 +274,11 @@ OPERATIONS = {
     "remainders": lambda i, a, t: jnp.fmod(a, 0.7) + (i % 2) * a,
     "comparisons": lambda i, a, t: jnp.where((a > 0) & (a < 1) | ~(a >= -1), a, i == 1),
     "extremes": lambda i, a, t: jnp.clip(a * i, -1, 1) + jnp.minimum(a, 0.3) * jnp.maximum(a, i),
+    "choices": lambda i, a, t: (
+        jnp.where(a > i, a, 1.0 * i) + jnp.where(a < 0.3, a, 0.3) + jnp.where(a > 0.5, 0.5, a)
+    ),
+    "choices of nan": lambda i, a, t: jnp.where(jnp.log(-jnp.exp(a)) > i, jnp.nan, a * i),
+    "larger than nan": lambda i, a, t: jnp.where((n := jnp.log(-jnp.exp(a))) > a, n, a * 1.0) + i,
     "integers": lambda i, a, t: jnp.abs(jnp.clip((a * 3).astype(jnp.int32), -2, 4) - i) * a,
     "reads": lambda i, a, t: sampling.read_nearest(t, (own_place(a) * 7 + i) % (5 * 19)) * a,
     **{f"rows of {w}": functools.partial(read_rows, width=w) for w in (2, 3, 4, 5)},
