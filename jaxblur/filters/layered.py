@@ -99,13 +99,13 @@ def _guess(size, border, interpolates, time, way, tables, local):
     read_x, read_y, depth = read_row(tables["motion"], texels.index, 4, 3)
     apart_x, apart_y = read_x - x + time * turn_x, read_y - y + time * turn_y
     apart = jnp.square(apart_x) + jnp.square(apart_y)
-    depth_apart = local["surface_sharpness"] * jnp.abs(depth - local["depth"])
-    # It lands if it hardly misses the pixel, or hardly differs from the pixel's surface. Where two
-    # of these are the same the derivative is that of one.
-    misses = squared * apart * local["inverse_tolerance"]
-    velocity_apart = apart * local["inverse_own"]
-    differs = jnp.where(velocity_apart > depth_apart, velocity_apart, depth_apart) + 1.5 * (1 - own)
-    lands = jnp.clip(1.5 - jnp.where(misses < differs, misses, differs), 0, 1)
+    # It lands if it hardly misses the pixel, or is of the pixel's surface: if neither its velocity
+    # nor its depth differs. Where two of these are the same the derivative is that of one.
+    hits = 1.5 - squared * apart * local["inverse_tolerance"]
+    moves_alike = 1.5 * own - apart * local["inverse_own"]
+    as_deep = 1.5 * own - jnp.abs(depth - local["depth"]) * local["surface_sharpness"]
+    same = jnp.where(moves_alike < as_deep, moves_alike, as_deep)
+    lands = jnp.clip(jnp.where(hits > same, hits, same), 0, 1)
     lands = jnp.where(texels.counts, lands, 0)
     if interpolates:
         color = read_color_along(tables["color"], texels, size, jnp.abs(x) >= jnp.abs(y))
