@@ -101,6 +101,8 @@ TRUTH = DATA / "sky_car_truth_0011.exr"
     [
         ((CAR, CUBE, "--truth", TRUTH), "--truth: 1 files for 2 frames"),
         ((CAR, CAR, "--truth", TRUTH, TRUTH), "is given twice"),
+        ((CAR, "--truth", TRUTH, "--velocity-from", "a", "b"), "--velocity-from: 2 files for 1"),
+        ((CAR, "--truth", TRUTH, "--depth-from", "{nr}.exr"), "--depth-from: '{nr}.exr' does not"),
         ((CAR, "--truth", "{name}.exr"), "'{name}.exr' does not apply to"),
         ((CAR, "--truth", "none_{number}.exr"), "none_0011.exr"),
         ((CAR, "--truth", TRUTH, "--holdout", "truck*"), "--holdout: no frame matches 'truck*'"),
@@ -185,21 +187,61 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("crop", [(), ("--crop", "40x30+8+4")])
-def test_paths_are_followed_where_they_are_followed_by_blur(tmp_path, monkeypatch, crop):
+@pytest.fixture
+def fitted_frames(tmp_path, monkeypatch):
+    """A function that gives the frames that a command would fit to."""
+
     class Stop(Exception):
         pass
 
     frames = []
 
     def fit(name, pairs, **options):
-        frames.extend(frame for frame, _ in pairs)
+        frames[:] = [frame for frame, _ in pairs]
         raise Stop
 
+    def frames_of(*command):
+        with pytest.raises(Stop):
+            run("fit", *command, "-o", tmp_path / "f.toml", "--filter", "layered")
+        return frames
+
     monkeypatch.setattr("jaxblur.fitting.fit", fit)
-    with pytest.raises(Stop):
-        run("fit", CAR, "--truth", TRUTH, "-o", tmp_path / "f.toml", "--filter", "layered", *crop)
+    return frames_of
+
+
+@pytest.mark.parametrize("crop", [(), ("--crop", "40x30+8+4")])
+def test_paths_are_followed_where_they_are_followed_by_blur(fitted_frames, crop):
+    (frame,) = fitted_frames(CAR, "--truth", TRUTH, *crop)
     path = exr.read_buffers(CAR).path
     assert path is not None
     expected = path[4:34, 8:48] if crop else path
-    np.testing.assert_array_equal(frames[0].path, expected)
+    np.testing.assert_array_equal(frame.path, expected)
+
+
+def test_color_vectors_and_depth_may_be_in_files_of_their_own(fitted_frames, tmp_path):
+    wanted = {}
+    for number in (1, 2):
+        channels = plain_frame((12, 16), seed=number)
+        color = {
+            f"{layer}.{c}": channels[c] / k for k, layer in enumerate(("a", "b"), 1) for c in "RGB"
+        }
+        velocity = {name: channels[name] for name in ("velocity.X", "velocity.Y")}
+        write_single(tmp_path / f"color_{number}.exr", color)
+        write_single(tmp_path / f"vectors_{number}.exr", velocity)
+        write_single(
+            tmp_path / f"depth_{number}.exr", {"far": channels["Z"], "near": channels["R"]}
+        )
+        write_single(tmp_path / f"truth_{number}.exr", {c: channels[c] for c in "RGB"})
+        wanted[number] = channels
+    frames = fitted_frames(
+        *(tmp_path / "color_2.exr", tmp_path / "color_1.exr"),
+        *("--truth", "{folder}/truth_{number}.exr", "--color-channels", "b.R,b.G,b.B"),
+        *("--velocity-from", "{folder}/vectors_{number}.exr", "--shutter", "0.5"),
+        *("--depth-from", tmp_path / "depth_1.exr", tmp_path / "depth_2.exr"),
+        *("--depth-channel", "far"),
+    )
+    for frame, channels in zip(frames, (wanted[1], wanted[2]), strict=True):
+        np.testing.assert_array_equal(frame.color[..., 1], channels["G"] / 2)
+        np.testing.assert_array_equal(frame.depth, channels["Z"])
+        scale = frame.velocity[..., 0] / channels["velocity.X"]
+        assert np.ptp(scale) < 1e-6 and scale[0, 0] > 0

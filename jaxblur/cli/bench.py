@@ -19,10 +19,11 @@ from .arguments import (
     positive_integer,
     positive_number,
 )
-from .blur import add_source_options
 from .compute import start_jax
 from .console import print_line, print_table, track
+from .filtering import add_nonfinite_option
 from .scene import check_scene, image_size
+from .sources import add_source_options
 
 LOG = logging.getLogger("jaxblur")
 
@@ -85,7 +86,7 @@ def add_parser(commands: Any) -> None:
         help="by which time and memory may grow (default %(default)g)",
     )
     add_vector_options(parser)
-    add_source_options(parser)
+    add_nonfinite_option(add_source_options(parser))
 
 
 def _add_scene_options(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,6 @@ from .arguments import (
     add_command,
     add_compute_options,
     add_vector_options,
-    channel_names,
     check_outputs,
     describe_presets,
     file_path,
@@ -29,6 +28,7 @@ from .filtering import (
     complete,
     report_ignored,
 )
+from .sources import add_source_options
 
 LOG = logging.getLogger("jaxblur")
 
@@ -75,7 +75,7 @@ def add_parser(commands: Any) -> None:
     )
     _add_plan_options(parser)
     add_vector_options(parser)
-    add_source_options(parser)
+    add_nonfinite_option(add_source_options(parser))
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -95,29 +95,6 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--budget", type=positive_number, metavar="MS", help="with --plan: time for the filter"
     )
-
-
-def add_source_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say where in a file the buffers are, for `read_buffers`."""
-    group = parser.add_argument_group("where color, vectors and depth are")
-    group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
-    group.add_argument("--velocity-from", type=file_path, metavar="FILE")
-    group.add_argument("--depth-from", type=file_path, metavar="FILE")
-    group.add_argument("--depth-channel", metavar="NAME")
-    group.add_argument(
-        "--depth",
-        default="auto",
-        metavar="KIND",
-        help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
-    )
-    group.add_argument(
-        "--sky",
-        choices=("file", "camera"),
-        default="file",
-        help="velocity of the sky: as in the file, or, where it is zero there, that of the "
-        "camera's turn, estimated from the surfaces (default %(default)s)",
-    )
-    add_nonfinite_option(group)
 
 
 def run(arguments: argparse.Namespace) -> int:

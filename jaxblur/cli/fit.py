@@ -8,10 +8,10 @@ import logging
 import pathlib
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from . import published
+from . import published, sources
 from .arguments import (
     CommandError,
     add_command,
@@ -26,13 +26,14 @@ from .arguments import (
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import add_filter_options, complete
+from .sources import add_source_options
 
 LOG = logging.getLogger("jaxblur")
 
-TRUTH_RULE = """\
---truth is either one file for each frame, paired in sorted order, or a single pattern in which
-{stem} stands for the frame's name without extension, {number} for the last digits in it, and
-{folder} for its folder: --truth '{folder}/truth_{number}.exr'."""
+FILES_RULE = """\
+--truth, --velocity-from and --depth-from each are either one file for each frame, paired in sorted
+order, or a single pattern in which {stem} stands for the frame's name without extension, {number}
+for the last digits in it, and {folder} for its folder: --truth '{folder}/truth_{number}.exr'."""
 
 _CROP = re.compile(r"([1-9]\d*)x([1-9]\d*)\+(\d+)\+(\d+)")
 _FIGURES = ("psnr", "ssim", "flip")
@@ -45,7 +46,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = lambda: (
-        f"{TRUTH_RULE}\n\n{published.describe_filters()}\n\n{describe_presets()}"
+        f"{FILES_RULE}\n\n{published.describe_filters()}\n\n{describe_presets()}"
     )
     parser.add_argument("frames", type=pathlib.Path, nargs="+", help="sharp frames with vectors")
     parser.add_argument(
@@ -71,6 +72,9 @@ def add_parser(commands: Any) -> None:
     _add_fit_options(parser)
     add_filter_options(parser, default=published.FITTED_FILTER)
     add_vector_options(parser)
+    add_source_options(parser, of_many="one for each frame, or a pattern, as --truth")
+    # What a fit would learn from pixels that are not known is nothing.
+    parser.set_defaults(nonfinite="error")
 
 
 def _add_fit_options(parser: argparse.ArgumentParser) -> None:
@@ -122,11 +126,12 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fit, report and write; see `add_parser`."""
     name, parameters, settings = complete(arguments)
-    frames, truths = pair_files(arguments.frames, arguments.truth)
+    files = match_files(arguments)
+    frames = [named["input"] for named in files]
     holdout = held_out(frames, arguments.holdout)
     published.check_names(name, arguments.free or (), "--free")
-    _check_output(arguments, [*frames, *truths])
-    pairs = [_read_pair(arguments, *files) for files in zip(frames, truths, strict=True)]
+    _check_output(arguments, [path for named in files for path in named.values()])
+    pairs = [_read_pair(arguments, named) for named in files]
     settings = _with_radius(settings, arguments, pairs)
     state = arguments.output.with_suffix(".state.npz")
     _check_state(arguments, state)
@@ -184,36 +189,45 @@ def _farewell(steps: int, state: pathlib.Path) -> str:
     return f"interrupted; stopped after {steps} steps; --resume goes on from {state}"
 
 
-def pair_files(
-    frames: Sequence[pathlib.Path], truths: Sequence[str]
-) -> tuple[list[pathlib.Path], list[pathlib.Path]]:
-    """Find the truth of each frame; see `TRUTH_RULE`.
+def match_files(arguments: argparse.Namespace) -> list[dict[str, pathlib.Path]]:
+    """Find the files that belong to each frame; see `FILES_RULE`.
 
     Args:
-        frames: files.
-        truths: files, or one pattern.
+        arguments: of the command.
 
     Returns:
-        Frames in sorted order, and their truths.
+        For each frame, in sorted order, the file of each role that there is: ``input``, ``truth``,
+        ``velocity_from``, ``depth_from``.
 
     Raises:
         CommandError: the numbers differ, a frame is named twice, or a pattern does not apply.
     """
-    ordered = sorted(frames)
+    ordered = sorted(arguments.frames)
     for first, second in itertools.pairwise(ordered):
         if first == second:
             raise CommandError(f"{first}: is given twice.")
-    if len(truths) == 1 and "{" in truths[0]:
-        return ordered, [_from_pattern(truths[0], frame) for frame in ordered]
-    if len(truths) != len(ordered):
+    roles = {"input": ordered}
+    for role in ("truth", "velocity_from", "depth_from"):
+        given = getattr(arguments, role)
+        if given is not None:
+            roles[role] = _matched(f"--{role.replace('_', '-')}", given, ordered)
+    return [dict(zip(roles, paths, strict=True)) for paths in zip(*roles.values(), strict=True)]
+
+
+def _matched(
+    option: str, given: Sequence[str], frames: Sequence[pathlib.Path]
+) -> list[pathlib.Path]:
+    if len(given) == 1 and "{" in given[0]:
+        return [_from_pattern(option, given[0], frame) for frame in frames]
+    if len(given) != len(frames):
         raise CommandError(
-            f"--truth: {len(truths)} files for {len(ordered)} frames; give one for each, or a "
+            f"{option}: {len(given)} files for {len(frames)} frames; give one for each, or a "
             "pattern such as '{folder}/truth_{number}.exr'."
         )
-    return ordered, sorted(map(pathlib.Path, truths))
+    return sorted(map(pathlib.Path, given))
 
 
-def _from_pattern(pattern: str, frame: pathlib.Path) -> pathlib.Path:
+def _from_pattern(option: str, pattern: str, frame: pathlib.Path) -> pathlib.Path:
     numbers = re.findall(r"\d+", frame.stem)
     fields = {"stem": frame.stem, "folder": str(frame.parent)}
     if numbers:
@@ -222,7 +236,7 @@ def _from_pattern(pattern: str, frame: pathlib.Path) -> pathlib.Path:
         return pathlib.Path(pattern.format(**fields))
     except (KeyError, IndexError, ValueError, AttributeError) as error:
         raise CommandError(
-            f"--truth: {pattern!r} does not apply to {frame}; it may hold "
+            f"{option}: {pattern!r} does not apply to {frame}; it may hold "
             f"{', '.join(f'{{{name}}}' for name in fields)}."
         ) from error
 
@@ -282,27 +296,18 @@ def _check_output(arguments: argparse.Namespace, inputs: Sequence[pathlib.Path])
         raise CommandError(f"{output}: no folder {output.parent}; create it first.")
 
 
-def _read_pair(
-    arguments: argparse.Namespace, frame: pathlib.Path, truth: pathlib.Path
-) -> tuple[Any, Any]:
+def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path]) -> tuple[Any, Any]:
     from jaxblur import exr
 
-    buffers = exr.read_buffers(
-        frame,
-        arguments.preset,
-        arguments.shutter,
-        file_shutter=arguments.file_shutter,
-        max_displace=arguments.max_displace,
-        layer=arguments.layer,
-        velocity_channels=arguments.velocity_channels,
-    )
+    frame, truth = named["input"], named["truth"]
+    LOG.info("%s: truth %s", frame, truth)
+    buffers = sources.read(argparse.Namespace(**vars(arguments) | dict(named)))
     image = exr.read_image(truth)
     if image.shape[:2] != buffers.color.shape[:2]:
         raise CommandError(
             f"{truth}: the truth has {_size(image)} pixels, but {frame} has "
             f"{_size(buffers.color)}; render both with the same data window."
         )
-    LOG.info("%s: truth %s; vectors: %s", frame, truth, buffers.guess.reason)
     return _cropped(arguments.crop, frame, buffers, image)
 
 

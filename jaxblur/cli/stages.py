@@ -10,6 +10,7 @@ from typing import Any
 import jaxblur
 from jaxblur.settings import Settings
 
+from . import sources
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter
 from .published import GUERTIN_CHOICES
@@ -91,9 +92,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
 
     from jaxblur import vectors
 
-    buffers = _read_buffers(arguments)
-    if arguments.sky == "camera":
-        buffers = _with_turning_sky(arguments.input, buffers)
+    buffers = sources.read(arguments)
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
     return Loaded(
@@ -249,49 +248,6 @@ def warn_of_double_blur(path: pathlib.Path) -> None:
     for name in earlier:
         if name not in (None, PASSED_THROUGH):
             LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
-
-
-def _read_buffers(arguments: argparse.Namespace) -> Any:
-    """Read the frame that the arguments name, and say how it was read."""
-    from jaxblur import exr
-
-    buffers = exr.read_buffers(
-        arguments.input,
-        arguments.preset,
-        arguments.shutter,
-        depth=arguments.depth,
-        velocity_from=arguments.velocity_from,
-        depth_from=arguments.depth_from,
-        file_shutter=arguments.file_shutter,
-        max_displace=arguments.max_displace,
-        layer=arguments.layer,
-        color_channels=arguments.color_channels,
-        velocity_channels=arguments.velocity_channels,
-        depth_channel=arguments.depth_channel,
-        nonfinite=arguments.nonfinite,
-    )
-    LOG.info("color: %s", ", ".join(buffers.color_channels))
-    LOG.info("vectors: %s", buffers.guess.reason)
-    LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
-    return buffers
-
-
-def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
-    """Give the sky the velocity of the camera's turn, and say whether it has one."""
-    import numpy as np
-
-    from jaxblur.frame import Frame
-    from jaxblur.sky import turning_sky
-
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
-    turned = turning_sky(frame)
-    if turned is frame:
-        LOG.info("sky: %s: as in the file; no turn of the camera was found", path)
-        return buffers
-    speeds = np.linalg.norm(np.asarray(turned.velocity)[np.isposinf(buffers.depth)], axis=-1)
-    LOG.info("sky: %s: turns with the camera, half-spread %.1f px", path, speeds.mean())
-    curved = None if turned.path is None else np.asarray(turned.path)
-    return dataclasses.replace(buffers, velocity=np.asarray(turned.velocity), path=curved)
 
 
 def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:

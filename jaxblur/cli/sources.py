@@ -1,0 +1,96 @@
+"""Where color, vectors and depth of a frame are: the options that say so, and reading by them."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+from typing import Any
+
+from .arguments import channel_names, file_path
+
+LOG = logging.getLogger("jaxblur")
+
+
+def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> Any:
+    """Add the options, for `read`.
+
+    Args:
+        parser: of a command.
+        of_many: how files are matched to frames, where the command takes many frames at once.
+
+    Returns:
+        Their group.
+    """
+    group = parser.add_argument_group("where color, vectors and depth are")
+    group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
+    files: dict[str, Any] = {"nargs": "+", "help": of_many} if of_many else {"type": file_path}
+    for name in ("--velocity-from", "--depth-from"):
+        group.add_argument(name, metavar="FILE", **files)
+    group.add_argument("--depth-channel", metavar="NAME")
+    group.add_argument(
+        "--depth",
+        default="auto",
+        metavar="KIND",
+        help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
+    )
+    group.add_argument(
+        "--sky",
+        choices=("file", "camera"),
+        default="file",
+        help="velocity of the sky: as in the file, or, where it is zero there, that of the "
+        "camera's turn, estimated from the surfaces (default %(default)s)",
+    )
+    return group
+
+
+def read(arguments: argparse.Namespace) -> Any:
+    """Read the frame that the arguments name, and say how it was read.
+
+    Args:
+        arguments: with ``input`` and the options of `add_source_options` and of the vectors.
+
+    Returns:
+        Buffers as `jaxblur.exr.read_buffers` gives them, the sky turned with the camera if asked.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+    """
+    from jaxblur import exr
+
+    buffers = exr.read_buffers(
+        arguments.input,
+        arguments.preset,
+        arguments.shutter,
+        depth=arguments.depth,
+        velocity_from=arguments.velocity_from,
+        depth_from=arguments.depth_from,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        color_channels=arguments.color_channels,
+        velocity_channels=arguments.velocity_channels,
+        depth_channel=arguments.depth_channel,
+        nonfinite=arguments.nonfinite,
+    )
+    LOG.info("color: %s", ", ".join(buffers.color_channels))
+    LOG.info("vectors: %s", buffers.guess.reason)
+    LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
+    return _with_turning_sky(arguments.input, buffers) if arguments.sky == "camera" else buffers
+
+
+def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
+    """Give the sky the velocity of the camera's turn, and say whether it has one."""
+    import numpy as np
+
+    from jaxblur.frame import Frame
+    from jaxblur.sky import turning_sky
+
+    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
+    turned = turning_sky(frame)
+    if turned is frame:
+        LOG.info("sky: %s: as in the file; no turn of the camera was found", path)
+        return buffers
+    speeds = np.linalg.norm(np.asarray(turned.velocity)[np.isposinf(buffers.depth)], axis=-1)
+    LOG.info("sky: %s: turns with the camera, half-spread %.1f px", path, speeds.mean())
+    curved = None if turned.path is None else np.asarray(turned.path)
+    return dataclasses.replace(buffers, velocity=np.asarray(turned.velocity), path=curved)
