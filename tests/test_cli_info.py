@@ -34,6 +34,24 @@ def test_info_as_json_agrees_with_the_file():
     assert listing["parts"][0]["attributes"]["Software"] == "Blender 5.0.1"
 
 
+def test_info_says_what_blur_would_read(tmp_path):
+    out, listing = run("info", CAR).out, json.loads(run("info", CAR, "--json").out)
+    buffers = exr.read_buffers(CAR)
+    assert listing["color"]["channels"] == list(buffers.color_channels)
+    assert listing["depth"]["channels"] == [buffers.depth_channel]
+    assert f"color: {', '.join(buffers.color_channels)}\ndepth: {buffers.depth_channel}\n" in out
+    channels = plain_frame()
+    path = write_single(
+        tmp_path / "a.exr", {"a.Depth.Z": channels["Z"], "b.Depth.Z": channels["Z"]}
+    )
+    out = run("info", path).out
+    assert "color: none (no color (R, G, B or Y) among" in out and "give --color-channels" in out
+    assert (
+        "depth: none (several depth channels: a.Depth.Z, b.Depth.Z; choose with --depth-channel.)"
+        in out
+    )
+
+
 def test_info_measures_at_the_given_shutter():
     half, full = (
         json.loads(run("info", CAR, "--json", "--shutter", shutter).out)["motion"]["speeds"]

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from . import published
@@ -40,13 +41,18 @@ def run(arguments: argparse.Namespace) -> int:
 
     info = exr.inspect(arguments.file)
     bad, motion = _not_finite(info), _motion(info, arguments)
+    picture = _picture(info, arguments, motion.get("channels", ()))
     if arguments.json:
         listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
-        print(json.dumps(listing | {"not_finite": bad, "motion": motion}, indent=2))
+        print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
     else:
         print_line(info.path)
         _print_parts(info)
         _print_not_finite(bad)
+        print_line()
+        for what, found in picture.items():
+            channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
+            print_line(f"{what}: {channels}")
         _print_motion(motion)
     return 0
 
@@ -61,6 +67,32 @@ def _not_finite(info: Any) -> dict[str, int]:
         if names and not part.deep:
             counts |= exr.count_not_finite(info, names)
     return {name: count for name, count in counts.items() if count}
+
+
+def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:
+    """Which channels `blur` would read as color and as depth, or why none."""
+    from jaxblur import exr
+
+    found, prefix = {}, ""
+    try:
+        group = exr.choose_color(info, arguments.layer)
+        found["color"], prefix = {"channels": list(group.channels)}, group.prefix
+    except exr.JaxblurIOError as error:
+        found["color"] = _nothing(error)
+    try:
+        depth = exr.choose_depth(info, arguments.layer, None, prefix, vectors)
+        found["depth"] = {"channels": [depth]}
+    except exr.JaxblurIOError as error:
+        found["depth"] = _nothing(error)
+    return found
+
+
+def _nothing(error: Any) -> dict[str, Any]:
+    """No channels, and why; in the option names of `blur`."""
+    options: dict[str, Any] = dict.fromkeys(
+        ("color_channels", "depth_channel", "depth_from", "depth")
+    )
+    return {"channels": [], "reason": in_option_names(error.reason, options)}
 
 
 def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -168,7 +200,6 @@ def _window(window: tuple[int, int, int, int]) -> str:
 
 
 def _print_motion(motion: dict[str, Any]) -> None:
-    print_line()
     if motion["preset"] is None:
         print_line(f"motion vectors: none ({motion['reason']})")
         return
