@@ -6,7 +6,7 @@ with it. What "ignore" does:
 - color: the sample is masked (`Frame.valid`) and contributes neither color nor weight; the pixel
   itself becomes what the rest of its neighborhood gives.
 - velocity and path: the pixel counts as still, its color is kept.
-- depth: NaN counts as sky; ``+inf`` is sky anyway.
+- depth: NaN and minus infinity count as sky; ``+inf`` is sky anyway.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ class Ignored:
     Attributes:
         color: pixels that are masked, because a channel of their color is NaN or infinite.
         velocity: pixels taken as still, because their velocity or path is.
-        depth: pixels taken as sky, because their depth is NaN.
+        depth: pixels taken as sky, because their depth is NaN or minus infinity.
     """
 
     color: int = 0
@@ -82,8 +82,8 @@ def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame
         if (value := getattr(frame, name)) is not None
     }
     depth = np.asarray(frame.depth, np.float64)
-    bad["depth"] = np.isnan(depth)
-    _refuse("depth", depth <= 0, "zero or negative", "make it a positive distance")
+    bad["depth"] = np.isnan(depth) | np.isneginf(depth)
+    _refuse("depth", (depth <= 0) & ~bad["depth"], "zero or negative", "make it a positive distance")
     if nonfinite == "error":
         for name, where in bad.items():
             _refuse(name, where, "NaN or infinite", 'repair it, or pass nonfinite="ignore"')

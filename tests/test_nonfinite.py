@@ -32,7 +32,7 @@ def run(name, frame, **options):
     ("name", "value"),
     [
         *((name, value) for name in ("color", "velocity") for value in (np.nan, np.inf, -np.inf)),
-        ("depth", np.nan),
+        *(("depth", value) for value in (np.nan, -np.inf)),
     ],
 )
 def test_one_bad_value_is_refused_with_its_place_or_counted(name, value):
@@ -46,7 +46,7 @@ def test_one_bad_value_is_refused_with_its_place_or_counted(name, value):
     )
     assert (
         all(np.isfinite(buffer).all() for buffer in (clean.color, clean.velocity))
-        and not np.isnan(clean.depth).any()
+        and (np.asarray(clean.depth) > 0).all()
     )
 
 
@@ -56,7 +56,7 @@ def test_a_good_frame_is_returned_as_it_is():
     assert jaxblur.finite_frame(frame, "ignore")[0] is frame
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, -np.inf])
+@pytest.mark.parametrize("value", [0.0, -1.0])
 @pytest.mark.parametrize("policy", ["error", "ignore"])
 def test_depth_that_is_no_distance_is_always_refused(value, policy):
     frame = with_value(random_frame((4, 6)), "depth", value)
