@@ -83,7 +83,8 @@ def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame
     }
     depth = np.asarray(frame.depth, np.float64)
     bad["depth"] = np.isnan(depth) | np.isneginf(depth)
-    _refuse("depth", (depth <= 0) & ~bad["depth"], "zero or negative", "make it a positive distance")
+    no_distance = (depth <= 0) & ~bad["depth"]
+    _refuse("depth", no_distance, "zero or negative", "make it a positive distance")
     if nonfinite == "error":
         for name, where in bad.items():
             _refuse(name, where, "NaN or infinite", 'repair it, or pass nonfinite="ignore"')
