@@ -57,6 +57,22 @@ def test_killed_at_random_and_started_again_it_is_as_if_undisturbed(tmp_path):
     assert len(list(outputs[1].iterdir())) == 40
 
 
+def test_what_a_farm_ends_leaves_whole_frames_only(tmp_path):
+    outputs, again = undisturbed_and_again(tmp_path, 20, (60, 80))
+    with subprocess.Popen(again, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not list(outputs[1].glob("out.*")):
+            time.sleep(0.001)
+        process.terminate()
+        _, lines = process.communicate(timeout=300)
+    assert process.returncode == 143 and "interrupted" in lines.splitlines()[-1], lines
+    left = sorted(outputs[1].iterdir())
+    assert 0 < len(left) < 20, "it was ended while it worked"
+    for path in left:
+        assert path.read_bytes() == (outputs[0] / path.name).read_bytes()
+    assert subprocess.run(again, check=False, capture_output=True).returncode == 0
+    assert kills.differences(*outputs) == []
+
+
 def dask_workers(psutil, process):
     """Those children of a process that Dask spawned; what they start looks alike for a moment."""
     found = []

@@ -1,4 +1,4 @@
-"""Ctrl-C, which is to end a command cleanly whenever it comes."""
+"""Ctrl-C and SIGTERM, which are to end a command cleanly whenever they come."""
 
 import _thread
 import contextlib
@@ -32,6 +32,30 @@ def held_back() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if came:
         raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def with_termination() -> Iterator[list[int]]:
+    """Take SIGTERM, by which farms end a job, for Ctrl-C.
+
+    Yields:
+        A list that holds something once the signal has come.
+    """
+    came: list[int] = []
+    usual = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+
+    def interrupt(number: int, _: Any) -> None:
+        came.append(number)
+        signal.raise_signal(signal.SIGINT)
+
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextlib.contextmanager

@@ -16,13 +16,14 @@ from jaxblur.text import one_line
 from . import bench, blur, demo, fit, info, report, scene, vectors
 from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
-from .interrupts import never_lost
+from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench)
 
 USAGE = 2
 INTERRUPTED = 130
+TERMINATED = 143
 BROKEN_PIPE = 141
 
 
@@ -39,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         SystemExit: ``--help`` and ``--version``, with status 0.
     """
     options: dict[str, Any] = {}
-    with _diagnostics(options), never_lost():
+    with _diagnostics(options), never_lost(), with_termination() as terminated:
         try:
             arguments = build_parser().parse_args(argv)
             options |= vars(arguments)
@@ -49,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return status
         except KeyboardInterrupt as interruption:
             LOG.error("%s", str(interruption) or "interrupted")
-            return INTERRUPTED
+            return TERMINATED if terminated else INTERRUPTED
         except BrokenPipeError:
             _discard_stdout()
             return BROKEN_PIPE
