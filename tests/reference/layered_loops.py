@@ -218,7 +218,10 @@ def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, sett
         shares = [
             lands
             * math.prod(
-                1 - other * clip01(parameters["front_sharpness"] * (z - nearer))
+                1
+                - other
+                * (1 - ways[j][3] * ways[k][3])
+                * clip01(parameters["front_sharpness"] * (z - nearer))
                 for j, (other, nearer, _, _) in enumerate(guesses)
                 if j != k
             )
