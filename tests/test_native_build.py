@@ -10,7 +10,7 @@ import pytest
 
 from jaxblur import native
 from jaxblur.native import build, emit
-from tests import test_native
+from tests.test_native_operations import sum_of
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
 
@@ -58,17 +58,15 @@ def test_a_compiler_that_fails_is_asked_once_and_warned_of_once(monkeypatch, tmp
     def other(i, a, t):
         return a * 103 + i
 
-    np.testing.assert_array_equal(
-        test_native.sum_of(one, backend="auto"), test_native.sum_of(one, backend="xla")
-    )
-    test_native.sum_of(other, backend="auto")
+    np.testing.assert_array_equal(sum_of(one, backend="auto"), sum_of(one, backend="xla"))
+    sum_of(other, backend="auto")
     calls = (tmp_path / "c++.calls").read_text().splitlines()
     assert len(calls) == len(build.MACHINE_FLAGS)
     (warning,) = [record for record in caplog.records if record.levelname == "WARNING"]
     words = warning.getMessage()
     assert words.endswith("error: no such name; XLA does its work, several times as slow")
     with pytest.raises(ValueError, match=r"'native', but .*error: no such name; use"):
-        test_native.sum_of(one)
+        sum_of(one)
 
 
 def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path):
