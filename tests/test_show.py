@@ -96,6 +96,7 @@ def test_a_frame_of_sky_alone_can_be_drawn(tmp_path):
     frame = moving_right()
     sky = dataclasses.replace(frame, depth=jnp.full_like(frame.depth, jnp.inf))
     show.frame_sheet(sky).savefig(tmp_path / "sky.png")
+    assert (tmp_path / "sky.png").stat().st_size > 5000
 
 
 def test_the_sheet_holds_all_buffers_and_can_be_written(tmp_path):

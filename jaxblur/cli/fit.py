@@ -164,12 +164,17 @@ def run(arguments: argparse.Namespace) -> int:
             state=state,
             resume=arguments.resume,
         )
+    _leave(arguments.output, state, result)
+    return 0
+
+
+def _leave(output: pathlib.Path, state: pathlib.Path, result: Any) -> None:
+    """Write and report what was fitted; of an interrupted fit say how it goes on."""
     if result.interrupted:
         raise KeyboardInterrupt(_farewell(result.steps, state))
-    result.save(arguments.output)
+    result.save(output)
     state.unlink(missing_ok=True)
-    _report(arguments.output, result)
-    return 0
+    _report(output, result)
 
 
 def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:
