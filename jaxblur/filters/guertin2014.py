@@ -1,6 +1,5 @@
 """A Fast and Stable Feature-Aware Motion Blur Filter [Guertin, McGuire, Nowrouzezahrai 2014]."""
 
-import dataclasses
 import functools
 
 import jax
@@ -21,7 +20,7 @@ from ..sampling import (
     sample_limit,
     tap_position,
 )
-from ..settings import Settings
+from ..settings import GuertinSettings, Settings, checked_settings
 from ..tiles import (
     dominant_velocity,
     own_tile,
@@ -41,6 +40,7 @@ from ..weights import (
     relative_closeness,
 )
 from .masking import append_mask, divide_by_mask
+from .parameters import GuertinParameters as GuertinParameters
 from .two_directions import follows_center, tile_choices, two_directions
 
 PERPENDICULAR = 1e-6
@@ -50,29 +50,7 @@ MOTION = ("x", "y", "inverse_speed", "depth")
 REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class GuertinParameters:
-    """Parameters of Guertin 2014; floats, arrays or tracers. Defaults are the published ones.
-
-    Attributes:
-        kappa: divides the weight of the pixel's own color, > 0.
-        gamma: pixels of speed over which the second direction turns from the perpendicular of
-            the dominant velocity to the pixel's own, > 0.
-        tau: reach of the tile jitter in tiles, in [0, 1]; differentiable with
-            ``tile_choice="expected"`` only.
-        eta: largest jitter of the taps, in spacings at N = phi. Only eta * phi enters.
-        phi: baseline of the jitter: it shrinks as phi / N.
-        depth_sharpness: k of departure 1; 1 as published separates depths that differ by a factor
-            of two, 10 to 20 separates 5 to 10 percent.
-    """
-
-    kappa: float | jax.Array = 40.0
-    gamma: float | jax.Array = 1.5
-    tau: float | jax.Array = 1.0
-    eta: float | jax.Array = 0.95
-    phi: float | jax.Array = 27.0
-    depth_sharpness: float | jax.Array = 1.0
+jax.tree_util.register_dataclass(GuertinParameters)
 
 
 def _weight(distance, along_pixel, along_sample, sample, local):
@@ -230,7 +208,7 @@ def _checked(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, Guerti
 
 
 def prepare_frame(
-    frame: Frame, parameters: GuertinParameters, settings: Settings
+    frame: Frame, parameters: GuertinParameters, settings: GuertinSettings
 ) -> tuple[Frame, GuertinParameters, jax.Array, jax.Array]:
     """Check the inputs and find the dominant velocities (passes 1 to 3).
 
@@ -277,7 +255,7 @@ def guertin2014(
     frame: Frame,
     parameters: GuertinParameters,
     *,
-    settings: Settings = Settings(),
+    settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> jax.Array:
     """Blur along two directions with feature-aware weights.
@@ -320,7 +298,7 @@ def tile_outcomes(
     frame: Frame,
     parameters: GuertinParameters,
     *,
-    settings: Settings = Settings(),
+    settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """What `guertin2014` gives for each choice of tile, and how probable each choice is.
@@ -342,6 +320,7 @@ def tile_outcomes(
     Raises:
         ValueError: shapes disagree.
     """
+    settings = checked_settings(settings, GuertinSettings, "guertin2014")
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
     frame, parameters = _checked(frame, parameters)
@@ -364,7 +343,7 @@ def luma_hint(
     frame: Frame,
     parameters: GuertinParameters,
     *,
-    settings: Settings = Settings(),
+    settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> jax.Array:
     """Luma plane for FXAA that marks every blurred pixel as an edge.
@@ -387,6 +366,7 @@ def luma_hint(
     Raises:
         ValueError: shapes disagree.
     """
+    settings = checked_settings(settings, GuertinSettings, "guertin2014")
     frame, parameters, _, tiles = prepare_frame(frame, parameters, settings)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)

@@ -31,10 +31,11 @@ from ..sampling import (
     read_row,
     sample_limit,
 )
-from ..settings import Settings
+from ..settings import Settings, checked_settings
 from ..tiles import own_tile, shortening
 from ..weights import SPEED_FLOOR, anything_moves
 from .masking import honoring_mask
+from .parameters import LayeredParameters as LayeredParameters
 from .reaching import fine_tile, reaching_pixels
 from .silhouettes import purest_motion, taken_from
 
@@ -44,38 +45,7 @@ SMALLEST_WEIGHT = 1e-3
 """Slices of which less is known together do not count."""
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class LayeredParameters:
-    """Parameters of the layered filter; floats, arrays or tracers.
-
-    Defaults of the first three are fitted to catalogue scenes, which do not tell the others; see
-    experiment 012.
-
-    Attributes:
-        front_sharpness: how strictly one depth is in front of another, per unit of log depth,
-            > 0: 10 makes ten percent of depth a full step, 6.7 sixteen.
-        landing_tolerance: how far in pixels a guess may miss the pixel and still have landed, > 0.
-        own_tolerance: how unlike the pixel's velocity, as a share of it, that of a point of the
-            same surface may be, > 0.
-        surface_sharpness: how strictly depths of the same surface agree, per unit of log depth,
-            > 0.
-        bend: how much the way along the own velocity bends with the change of velocity along it,
-            0 to 1: 0.5 is that of a motion whose velocities stay where they are in the image.
-        jitter: share of a tap's stratum over which noise moves the tap, 0 to 1.
-        distinct: pixels from which on another velocity counts as different from the own, > 0.
-        thin_coverage: least share of its pixels that something one pixel wide covers, 0 to 1; 1
-            takes its vectors as they are.
-    """
-
-    front_sharpness: float | jax.Array = 6.7
-    landing_tolerance: float | jax.Array = 1.0
-    own_tolerance: float | jax.Array = 0.42
-    surface_sharpness: float | jax.Array = 20.0
-    bend: float | jax.Array = 0.5
-    jitter: float | jax.Array = 1.0
-    distinct: float | jax.Array = 1.0
-    thin_coverage: float | jax.Array = 0.5
+jax.tree_util.register_dataclass(LayeredParameters)
 
 
 def _times(index, count, jitter):
@@ -357,6 +327,7 @@ def layered(
     Source: this project; iterative image warping (Bowles et al. 2012) per time slice, with the
     neighborhood velocities of McGuire et al. 2012 drawn as lines.
     """
+    settings = checked_settings(settings, Settings, "layered")
     check_parameters(parameters, LayeredParameters)
     if settings.samples < GUESSES:
         raise ValueError(f"`samples` must be at least {GUESSES}, got {settings.samples}.")

@@ -1,6 +1,5 @@
 """A Reconstruction Filter for Plausible Motion Blur [McGuire, Hennessy, Bukowski, Osman 2012]."""
 
-import dataclasses
 import functools
 
 import jax
@@ -20,7 +19,7 @@ from ..sampling import (
     sample_limit,
     tap_position,
 )
-from ..settings import Settings
+from ..settings import Settings, checked_settings
 from ..tiles import clamp_speed, dominant_velocity, own_tile
 from ..weights import (
     SPEED_FLOOR,
@@ -31,18 +30,9 @@ from ..weights import (
     floored_speed,
 )
 from .masking import honoring_mask
+from .parameters import McGuireParameters as McGuireParameters
 
-
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class McGuireParameters:
-    """Parameters of McGuire 2012; floats, arrays or tracers.
-
-    Attributes:
-        soft_z_extent: depth over which foreground fades into background, in scene units, > 0.
-    """
-
-    soft_z_extent: float | jax.Array = 0.1
+jax.tree_util.register_dataclass(McGuireParameters)
 
 
 def _sample(size, settings, index, local, tables):
@@ -137,6 +127,7 @@ def mcguire2012(
     Raises:
         ValueError: shapes disagree, or the number of samples is even.
     """
+    settings = checked_settings(settings, Settings, "mcguire2012")
     if settings.samples % 2 == 0:
         raise ValueError(
             f"`settings.samples` must be odd for mcguire2012, got {settings.samples}; "

@@ -11,7 +11,7 @@ from ..native import Stages
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sampling import channel, path_samples, read_color, read_position, sample_limit, tap_position
-from ..settings import Settings
+from ..settings import Settings, checked_settings
 from ..tiles import clamp_speed
 from ..weights import SPEED_FLOOR
 from .masking import honoring_mask
@@ -83,6 +83,7 @@ def pixel_velocity(
     Raises:
         ValueError: shapes disagree.
     """
+    settings = checked_settings(settings, Settings, "pixel_velocity")
     frame = check_frame(frame)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
