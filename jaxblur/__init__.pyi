@@ -37,7 +37,7 @@ from .planning import (
 )
 from .settings import GuertinSettings as GuertinSettings, Settings as Settings
 from .sky import turning_sky as turning_sky
-from .tiles import (
+from .filters.tiles import (
     neighbor_max as neighbor_max,
     tile_max as tile_max,
     tile_variance as tile_variance,

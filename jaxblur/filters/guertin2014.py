@@ -371,10 +371,21 @@ def _keep(count: int, frame: Frame, *others: Array) -> jax.Array:
     return jnp.broadcast_to(color, (count, *color.shape))
 
 
-def _checked(
+def checked_inputs(
     frame: Frame, parameters: GuertinParameters
 ) -> tuple[Frame, GuertinParameters]:
-    """Frame and parameters in one dtype."""
+    """Frame and parameters in one dtype.
+
+    Args:
+        frame: as `guertin2014`.
+        parameters: as `guertin2014`.
+
+    Returns:
+        The same as floating-point arrays.
+
+    Raises:
+        ValueError: shapes disagree, or a parameter is not a scalar.
+    """
     check_parameters(parameters, GuertinParameters)
     frame = check_frame(frame)
     return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
@@ -389,7 +400,7 @@ def _outcomes(
 ) -> tuple[jax.Array, jax.Array]:
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
-    frame, parameters = _checked(frame, parameters)
+    frame, parameters = checked_inputs(frame, parameters)
     (height, width), radius = frame.depth.shape, settings.radius
     moves = anything_moves(frame.velocity)
     if settings.tile_choice == "expected":
@@ -525,7 +536,7 @@ def _hint(
     noise: Noise | None,
     settings: GuertinSettings,
 ) -> jax.Array:
-    frame, parameters = _checked(frame, parameters)
+    frame, parameters = checked_inputs(frame, parameters)
     height, width = frame.depth.shape
     images, scalars = prepare_images(frame, settings, noise), Scalars(parameters, None)
     hint = each_pixel(

@@ -7,6 +7,7 @@ wins and takes the whole derivative.
 
 from typing import Literal, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
@@ -124,11 +125,27 @@ def tile_max(velocity: ArrayLike, radius: int) -> Float[Array, "tile_rows tile_c
     velocity = _vectors("velocity", velocity)
     if radius < 1:
         raise ValueError(f"`radius` must be at least 1, got {radius}.")
-    number = largest_in_tiles(
-        *(speed_of, velocity.shape[:2], radius, Velocity(Image(velocity))), backend="xla"
-    )[..., 0].astype(jnp.int32)
+    fastest = fastest_pixels(velocity, radius)
+    return velocity[fastest[..., 0], fastest[..., 1]]
+
+
+def fastest_pixels(velocity: ArrayLike, radius: int) -> Int[Array, "tile_rows tile_columns 2"]:
+    """Row and column of the fastest pixel of each tile, of equal ones the first.
+
+    Args:
+        velocity: (H, W, 2) half-spread in pixels.
+        radius: tile size in pixels.
+
+    Returns:
+        (ceil(H / r), ceil(W / r), 2).
+    """
+    velocity = _vectors("velocity", velocity)
+    size = velocity.shape[0], velocity.shape[1]
+    found = largest_in_tiles(speed_of, size, radius, Velocity(Image(velocity)), backend="xla")
+    number = found[..., 0].astype(jnp.int32)
     row, column = (lax.broadcasted_iota(jnp.int32, number.shape, axis) for axis in (0, 1))
-    return velocity[row * radius + number // radius, column * radius + number % radius]
+    place = row * radius + number // radius, column * radius + number % radius
+    return jnp.stack(place, axis=-1)
 
 
 def speed_of(at: At, images: Velocity, _: None, __: None) -> Outcome:

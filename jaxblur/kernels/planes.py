@@ -94,20 +94,20 @@ def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
 def _one_by_one(equation: Any, inputs: list[Any]) -> list[Any]:
     """Any other operation, as it is for scalars, mapped over all elements."""
 
-    def bind(*values: Any) -> list[Any]:
-        functions, parameters = equation.primitive.get_bind_params(equation.params)
-        results = equation.primitive.bind(*functions, *values, **parameters)
-        return list(results) if equation.primitive.multiple_results else [results]
-
-    scalars = [variable.aval.ndim == 0 for variable in equation.invars]
+    pairs = zip(equation.invars, inputs, strict=True)
+    known = {v: value for v, value in pairs if not isinstance(v, core.Literal)}
+    alone = core.Jaxpr((), list(known), equation.outvars, [equation])
+    function = core.jaxpr_as_fun(core.ClosedJaxpr(alone, ()))
+    scalars = [variable.aval.ndim == 0 for variable in known]
+    inputs = list(known.values())
     shape = np.broadcast_shapes(
         *(np.shape(v) for v, scalar in zip(inputs, scalars, strict=True) if scalar)
     )
     if not shape:
-        return bind(*map(jnp.asarray, inputs))
+        return function(*map(jnp.asarray, inputs))
     flat = [
         jnp.broadcast_to(value, shape).reshape(-1) if scalar else value
         for value, scalar in zip(inputs, scalars, strict=True)
     ]
     axes = [0 if scalar else None for scalar in scalars]
-    return [result.reshape(shape) for result in jax.vmap(bind, axes)(*flat)]
+    return [result.reshape(shape) for result in jax.vmap(function, axes)(*flat)]

@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from ..filters.registry import FilterInfo, filter_info
 from ..filters.taps import taps_at
+from ..filters.tiles import dominant_velocity, tile_max
 from ..frame import Frame
 from ..noise import Noise
+from ..safe_math import clamp_speed
 from ..settings import GuertinSettings, Settings, checked_settings
-from ..tiles import clamp_speed, dominant_velocity, tile_max
 from .buffers import display, draw_streaks, fastest
 from .colors import velocity_colors
 from .figures import figure_and_axes, show_pixels
@@ -53,10 +54,10 @@ def tile_velocities(
     if stage not in ("tile", "neighbor"):
         raise ValueError(f"`stage` must be 'tile' or 'neighbor', got {stage!r}.")
     settings = checked_settings(settings, GuertinSettings)
-    velocity, speed = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
+    velocity, _ = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
     if stage == "tile":
         return np.asarray(tile_max(velocity, settings.radius))
-    return np.asarray(dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles))
+    return np.asarray(dominant_velocity(velocity, settings.radius, settings.diagonal_tiles))
 
 
 def tile_overlay(
