@@ -3,8 +3,8 @@
     python experiments/003_perception/run.py -o OUT            # about 10 minutes
     python experiments/003_perception/run.py -o OUT --quick    # part of the grid, about a minute
 
-The grid of Navarro 2012, table 5.1: a rolling sphere with 3 materials, 3 speeds, 5 shutter times and
-5 sampling levels. Every cell is scored against the cell with the most samples (A5) of the same
+The grid of Navarro 2012, table 5.1: a rolling sphere with 3 materials, 3 speeds, 5 shutter times
+and 5 sampling levels. Every cell is scored against the cell with the most samples (A5) of the same
 material, speed and shutter time, over the pixels that the sphere's motion reaches with the longest
 shutter. Every level has its own seed. Writes results.csv, results.md and figure.png.
 """

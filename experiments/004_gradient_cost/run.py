@@ -2,10 +2,11 @@
 
     python experiments/004_gradient_cost/run.py -o OUT [--quick]
 
-Measures for each fetch and tile choice: the loss alone; its value and gradient with respect to kappa,
-gamma, tau and phi in reverse mode, and in forward mode; and the gradient with respect to color, depth,
-velocity and every parameter. The loss is the expected squared error over the tile choices. All
-variants run in turn; times are medians without compilation. Writes cost.csv and cost.md.
+Measures for each fetch and tile choice: the loss alone; its value and gradient with respect to
+kappa, gamma, tau and phi in reverse mode, and in forward mode; and the gradient with respect to
+color, depth, velocity and every parameter. The loss is the expected squared error over the tile
+choices. All variants run in turn; times are medians without compilation. Writes cost.csv and
+cost.md.
 """
 
 import argparse
