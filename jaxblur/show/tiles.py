@@ -1,4 +1,4 @@
-"""Tiles and taps: how a filter sees a frame."""
+"""Drawings of tiles, taps and texel weights: how a filter reads a frame."""
 
 import dataclasses
 import functools
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TINT = 0.45
-"""How much of a tile's color covers the picture."""
+"""Opacity of a tile's color over the picture."""
 MARGIN = 6
-"""Pixels around the taps of a pixel."""
+"""Margin around the taps of a pixel, pixels."""
 LARGEST_DOT = 250.0
-"""Area of the dot of the largest weight, in square points."""
+"""Area of the dot for the largest weight, in square points."""
 
 DOMINANT_COLOR, CENTER_COLOR, OWN_COLOR = "tab:blue", "tab:orange", "tab:red"
 
@@ -36,13 +36,13 @@ DOMINANT_COLOR, CENTER_COLOR, OWN_COLOR = "tab:blue", "tab:orange", "tab:red"
 def tile_velocities(
     frame: Frame, settings: Settings, stage: Literal["tile", "neighbor"] = "neighbor"
 ) -> Float[np.ndarray, "rows columns 2"]:
-    """The velocity of each tile, by the functions that the filters run.
+    """Compute the velocity of each tile, with the functions that the filters use.
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: ``tile`` for the fastest vector of the tile itself, ``neighbor`` for the dominant
-            one of its 3 x 3 ring.
+            one of its 3 x 3 neighborhood.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels, clamped to the radius.
@@ -65,11 +65,11 @@ def tile_overlay(
     stage: Literal["tile", "neighbor"] = "neighbor",
     axes: "Axes | None" = None,
 ) -> "Figure":
-    """Draw the grid of tiles over the color, each tinted by its velocity, with its arrow.
+    """Draw the grid of tiles over the color; each tile has the tint and the arrow of its velocity.
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: see `tile_velocities`.
         axes: where to draw.
 
@@ -93,7 +93,7 @@ def tile_overlay(
     for border in range(0, height + 1, radius):
         axes.axhline(border - 0.5, color="white", linewidth=0.6)
     rows, columns = np.mgrid[: tiles.shape[0], : tiles.shape[1]]
-    # A ragged tile at the border is as small as what is left of the picture.
+    # A ragged tile at the border is as small as the rest of the picture.
     x, y = (
         (start * radius + np.minimum((start + 1) * radius, size)) / 2 - 0.5
         for start, size in ((columns, width), (rows, height))
@@ -114,19 +114,19 @@ def texel_weights(
     settings: Settings | None = None,
     noise: Noise | None = None,
 ) -> Float[np.ndarray, "height width"]:
-    """How much each texel of the frame contributes to one pixel of the result.
+    """Compute the contribution of each texel of the frame to one pixel of the result.
 
-    A filter's output is linear in color, with weights that never see it: they are the derivative
-    of the pixel with respect to the color, and no filter needs to tell them.
+    A filter's output is linear in color, with weights that do not depend on color. So the weights
+    are the derivative of the pixel with respect to color, and no filter needs to report them.
 
     Args:
         name: a key of `jaxblur.FILTERS`.
         frame: one frame; its color is not read.
-        row: of the pixel.
-        column: of the pixel.
-        parameters: of the filter; the published ones if None.
-        settings: of the filter; the published ones if None.
-        noise: of the filter.
+        row: row of the pixel.
+        column: column of the pixel.
+        parameters: parameters of the filter; the published ones if None.
+        settings: settings of the filter; the published ones if None.
+        noise: noise of the filter.
 
     Returns:
         (H, W) weights that sum to 1; they are at least 0 for nearest fetch.
@@ -179,21 +179,21 @@ def tap_diagram(
     noise: Noise | None = None,
     axes: "Axes | None" = None,
 ) -> "Figure":
-    """Draw which texels make one pixel of the result, and how much each weighs.
+    """Draw the texels that contribute to one pixel of the result, and their weights.
 
-    A dot's area is its texel's weight, by `texel_weights`; the ring is the pixel itself. For
-    guertin2014 crosses mark the taps along the dominant direction and along the center direction,
-    and the lines reach as far as they do; taps without a dot have no weight. With the expected
-    tile choice every tile that may be read is drawn, the less likely the paler.
+    The area of a dot is the weight of its texel, from `texel_weights`; the ring marks the pixel
+    itself. For guertin2014, crosses mark the taps along the dominant direction and along the center
+    direction, and lines show the reach of both; taps without a dot have no weight. With the
+    expected tile choice every tile that may be read is drawn, fainter the less likely it is.
 
     Args:
         frame: one frame.
-        row: of the pixel.
-        column: of the pixel.
+        row: row of the pixel.
+        column: column of the pixel.
         name: a key of `jaxblur.FILTERS`.
-        parameters: of the filter; the published ones if None.
-        settings: of the filter; the published ones if None.
-        noise: of the filter.
+        parameters: parameters of the filter; the published ones if None.
+        settings: settings of the filter; the published ones if None.
+        noise: noise of the filter.
         axes: where to draw.
 
     Returns:
@@ -220,7 +220,7 @@ def tap_diagram(
 
 
 def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str, Any]) -> None:
-    """The two lines of guertin2014 with their taps, and the pixel's own velocity."""
+    """Draw the two lines of guertin2014 with their taps, and the pixel's own velocity."""
     parameters, settings = (
         GuertinParameters() if options["parameters"] is None else options["parameters"],
         Settings() if options["settings"] is None else options["settings"],
@@ -247,7 +247,7 @@ def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str
 
 
 def _show_around(axes: Any, frame: Frame, columns: Any, rows: Any) -> None:
-    """Zoom to the texels that count, and to the lines that were drawn, inside the frame."""
+    """Zoom to the texels with weight and to the lines drawn, inside the frame."""
     height, width = frame.depth.shape
     for line in axes.lines:
         columns, rows = np.append(columns, line.get_xdata()), np.append(rows, line.get_ydata())
