@@ -11,14 +11,19 @@ from .batch import blur_batch as blur_batch
 from .exr import read_frame as read_frame, write_image as write_image
 from .filters import (
     FILTERS as FILTERS,
+    FilterInfo as FilterInfo,
     GuertinParameters as GuertinParameters,
     LayeredParameters as LayeredParameters,
     McGuireParameters as McGuireParameters,
+    ParameterInfo as ParameterInfo,
+    filter_info as filter_info,
     guertin2014 as guertin2014,
     layered as layered,
     luma_hint as luma_hint,
     mcguire2012 as mcguire2012,
+    parameter as parameter,
     pixel_velocity as pixel_velocity,
+    register as register,
 )
 from .fitting import FitResult as FitResult, fit as fit
 from .frame import Frame as Frame
@@ -30,7 +35,7 @@ from .planning import (
     frame_statistics as frame_statistics,
     plan as plan,
 )
-from .settings import Settings as Settings
+from .settings import GuertinSettings as GuertinSettings, Settings as Settings
 from .sky import turning_sky as turning_sky
 from .tiles import (
     neighbor_max as neighbor_max,

@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .filters import FILTERS, PUBLISHED
+from .filters.registry import FilterInfo, filter_info
 from .frame import Frame
 from .noise import Noise
 from .settings import Settings
@@ -33,41 +33,40 @@ def blur_batch(
     ``vmap`` inside a chunk, ``lax.map`` from chunk to chunk, so that one chunk is in work at a
     time. Memory besides the stacked frames and results, for guertin2014 on three channels, as XLA
     accounts for it on a CPU (experiments/009_throughput): 70 bytes a pixel of one frame with one
-    frame a chunk, 200 with two. The reverse derivative in the parameters keeps what it needs of
-    *every* frame: for a batch of four 420 bytes a pixel of one frame with one frame a chunk, 760
-    with two. On a CPU one frame already fills the machine, and a larger chunk gains nothing.
+    frame a chunk, 200 with two. The reverse derivative in the parameters keeps intermediate values
+    of *every* frame: for a batch of four 420 bytes a pixel of one frame with one frame a chunk, 760
+    with two. On a CPU one frame already uses all cores, and a larger chunk gains nothing.
 
     Args:
-        filter: a key of `jaxblur.FILTERS`, or one of its functions.
+        filter: the name of a registered filter, or its function.
         frames: a `Frame` whose buffers have a leading axis of F frames: color (F, H, W, C),
             depth (F, H, W), velocity (F, H, W, 2), as ``jax.tree.map(stack, *frames)`` makes it;
-            or a sequence of frames, of which some may have a path or a mask and others not. Each
-            of these kinds is a batch of its own, in a program of its own.
-        parameters: of the filter, the same for all frames; the published ones if None.
-        settings: of the filter; the published ones if None.
+            or a sequence of frames, of which some may have a path or a mask and others not:
+            each of these kinds is compiled and run as a batch of its own.
+        parameters: of the filter, the same for all frames; its defaults if None.
+        settings: of the filter; its defaults if None.
         noise: replaces the built-in noise: of one frame, used for all, or with a leading axis
             of F frames.
         chunk: frames that are blurred together; the last chunk may hold fewer.
 
     Returns:
-        (F, H, W, C): what the filter returns for each frame, equal to the loop over frames up
+        (F, H, W, C): the result of the filter for each frame, equal to the loop over frames up
         to the rounding of float32 (the bits depend on how XLA fuses). Differentiable as the
         filter is.
 
     Raises:
         ValueError: an argument is wrong, or shapes disagree.
     """
-    name = filter_name(filter)
-    published, published_settings = PUBLISHED[name]
+    info = filter_info(filter)
 
     def blur(frames: Frame, noise: Noise | None) -> jax.Array:
         _check_batch(frames, noise, chunk)
         return _blur_batch(
             frames,
-            published if parameters is None else parameters,
+            info.make_parameters() if parameters is None else parameters,
             noise,
-            name=name,
-            settings=published_settings if settings is None else settings,
+            info=info,
+            settings=info.settings if settings is None else settings,
             chunk=chunk,
         )
 
@@ -93,13 +92,13 @@ def _by_kind(
     return jnp.concatenate(images)[places]
 
 
-@functools.partial(jax.jit, static_argnames=("name", "settings", "chunk"))
+@functools.partial(jax.jit, static_argnames=("info", "settings", "chunk"))
 def _blur_batch(
     frames: Frame,
     parameters: Any,
     noise: Noise | None,
     *,
-    name: str,
+    info: FilterInfo,
     settings: Settings,
     chunk: int,
 ) -> jax.Array:
@@ -108,7 +107,7 @@ def _blur_batch(
     def blur(each: tuple[Frame, Noise | None]) -> jax.Array:
         frame, own = each
         chosen = own if batched_noise else noise
-        return FILTERS[name](frame, parameters, settings=settings, noise=chosen)
+        return info.call(frame, parameters, settings=settings, noise=chosen)
 
     # A chunk of one by plain `map`: inside `vmap` the filter cannot leave out what does not move.
     return lax.map(
@@ -117,28 +116,8 @@ def _blur_batch(
 
 
 def has_frame_axis(noise: Noise) -> bool:
-    """Tell noise that each frame has its own of from noise that all share."""
+    """Whether each frame has noise of its own, in place of one for all."""
     return jnp.ndim(noise.tap) == NOISE_AXES["tap"]
-
-
-def filter_name(filter: str | Callable[..., Any]) -> str:
-    """Name a filter that is given by name or as a function.
-
-    Args:
-        filter: a key of `jaxblur.FILTERS`, or one of its functions.
-
-    Returns:
-        The key.
-
-    Raises:
-        ValueError: it is neither.
-    """
-    for name, function in FILTERS.items():
-        if filter == name or filter is function:
-            return name
-    raise ValueError(
-        f"`filter` must be one of {', '.join(FILTERS)}, or one of these functions, got {filter!r}."
-    )
 
 
 def _check_sequence(frames: Sequence[Frame], noise: Noise | None) -> None:

@@ -1,7 +1,7 @@
 """Several devices of one machine: whole frames on each, or rows of one frame on each.
 
 `blur_frames` gives every device its share of the frames. `blur_rows` cuts one frame into blocks
-of rows; every device gets, from its neighbors, as many rows more to either side as its result
+of rows; every device also gets, from its neighbors, the rows to either side that its result
 depends on, so that the result is that of the whole frame: the same tiles, the same noise, the same
 border.
 """
@@ -19,12 +19,11 @@ from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from .batch import blur_batch, filter_name, has_frame_axis
-from .filters import FILTERS, PUBLISHED
-from .filters.reaching import fine_tile
+from .batch import blur_batch, has_frame_axis
+from .filters.registry import FilterInfo, filter_info
 from .frame import Frame
 from .noise import Noise, resolve_noise
-from .settings import Settings
+from .settings import Settings, checked_settings
 
 AXIS = "device"
 
@@ -61,17 +60,17 @@ def blur_frames(
     count = len(frames.color)
     batch = _spread((frames, noise if own_noise else None), mesh, -count % mesh.size)
     shared = jax.device_put((parameters, None if own_noise else noise), _everywhere(mesh))
-    name = filter_name(filter)
-    return _blur_frames(batch, shared, name=name, settings=settings, chunk=chunk, mesh=mesh)[:count]
+    info = filter_info(filter)
+    return _blur_frames(batch, shared, info=info, settings=settings, chunk=chunk, mesh=mesh)[:count]
 
 
-@functools.partial(jax.jit, static_argnames=("name", "settings", "chunk", "mesh"))
+@functools.partial(jax.jit, static_argnames=("info", "settings", "chunk", "mesh"))
 def _blur_frames(
-    batch: Any, shared: Any, *, name: str, settings: Settings | None, chunk: int, mesh: Mesh
+    batch: Any, shared: Any, *, info: FilterInfo, settings: Settings | None, chunk: int, mesh: Mesh
 ) -> jax.Array:
     def blur(batch: Any, shared: Any) -> jax.Array:
         options = {"settings": settings, "noise": batch[1] or shared[1], "chunk": chunk}
-        return blur_batch(name, batch[0], shared[0], **options)
+        return blur_batch(info.name, batch[0], shared[0], **options)
 
     return _on_each(blur, mesh)(batch, shared)
 
@@ -87,15 +86,15 @@ def blur_rows(
 ) -> Float[Array, "height width channels"]:
     """Blur one frame, every device a block of its rows.
 
-    Fewer devices are used where the blocks would be smaller than what they need of each other,
-    for guertin2014 as published less than 80 rows.
+    Fewer devices are used where a block would have fewer rows than its neighbors need of it: 80
+    for guertin2014 with its default settings.
 
     Args:
-        filter: a key of `jaxblur.FILTERS`, or one of its functions.
+        filter: the name of a registered filter, or its function.
         frame: as the filter takes it.
-        parameters: of the filter, as numbers: how far a tap reaches hangs on them; the published
-            ones if None.
-        settings: of the filter; the published ones if None.
+        parameters: of the filter, as numbers, since the reach of a tap depends on them; its
+            defaults if None.
+        settings: of the filter; its defaults if None.
         noise: replaces the built-in noise, for the whole frame.
         devices: all of the default kind if None.
 
@@ -104,31 +103,32 @@ def blur_rows(
         bit, but for the shares of ``split="variance"``, which are rounded at other places.
 
     Raises:
-        ValueError: as the filter, or the parameters are traced.
+        ValueError: as the filter, or the parameters are traced, or the filter does not say how far
+            it reaches.
     """
-    name = filter_name(filter)
-    parameters = PUBLISHED[name][0] if parameters is None else parameters
-    settings = PUBLISHED[name][1] if settings is None else settings
+    info = filter_info(filter)
+    parameters = info.make_parameters() if parameters is None else parameters
+    settings = info.settings if settings is None else settings
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
-    reach = row_reach(name, parameters, settings, curved=frame.path is not None)
+    reach = row_reach(info, parameters, settings, curved=frame.path is not None)
     blocks = plan_rows(height, len(_devices(devices)), *reach)
     if blocks.count == 1:
-        return FILTERS[name](frame, parameters, settings=settings, noise=noise)
+        return info.call(frame, parameters, settings=settings, noise=noise)
     mesh = _mesh(_devices(devices)[: blocks.count])
     rows = _spread((frame, noise), mesh, blocks.count * blocks.rows - height)
     shared = jax.device_put(parameters, _everywhere(mesh))
-    return _blur_rows(rows, shared, name=name, settings=settings, blocks=blocks, mesh=mesh)[:height]
+    return _blur_rows(rows, shared, info=info, settings=settings, blocks=blocks, mesh=mesh)[:height]
 
 
-@functools.partial(jax.jit, static_argnames=("name", "settings", "blocks", "mesh"))
+@functools.partial(jax.jit, static_argnames=("info", "settings", "blocks", "mesh"))
 def _blur_rows(
-    rows: Any, shared: Any, *, name: str, settings: Settings, blocks: "Blocks", mesh: Mesh
+    rows: Any, shared: Any, *, info: FilterInfo, settings: Settings, blocks: "Blocks", mesh: Mesh
 ) -> jax.Array:
     windows = sorted(set(blocks.windows))
     chosen = jnp.asarray([windows.index(window) for window in blocks.windows])
     # Shapes differ between the blocks at the border and the others, and each device runs one.
-    branches = [functools.partial(_blur_window, name, settings, blocks, each) for each in windows]
+    branches = [functools.partial(_blur_window, info, settings, blocks, each) for each in windows]
 
     def blur(rows: Any, parameters: Any) -> jax.Array:
         own = jax.tree.map(functools.partial(_with_halo, blocks=blocks), rows)
@@ -181,56 +181,33 @@ def plan_rows(height: int, devices: int, alignment: int, reach: int) -> Blocks:
 
 
 def row_reach(
-    name: str, parameters: Any, settings: Settings, curved: bool = False
+    filter: str | FilterInfo, parameters: Any, settings: Settings, curved: bool = False
 ) -> tuple[int, int]:
-    """On how many rows to either side the result of a row may depend; on as many columns too.
+    """Number of rows to either side that the result of a row may depend on; columns likewise.
 
     Args:
-        name: a key of `jaxblur.FILTERS`.
+        filter: the name of a registered filter, or its record.
         parameters: of the filter.
         settings: of the filter.
-        curved: whether the frame has a path; only ``layered`` follows it.
+        curved: whether the frame has a path.
 
     Returns:
         Rows from one tile to the next, and rows to either side of a tile.
 
     Raises:
-        ValueError: the parameters are traced, or it is not known for this filter.
+        ValueError: the parameters are traced, or the filter does not say how far it reaches.
     """
-    radius = settings.radius
-    # One for bilinear reads, one for colors that masked pixels take from their neighbors.
-    taps = math.ceil(radius * _farthest_tap(name, parameters, settings)) + 2
-    if name == "pixel_velocity":
-        return 1, taps
-    if name == "mcguire2012":
-        return radius, max(radius, taps)
-    if name == "guertin2014":
-        # The ring of a tile that a pixel may read beside its own; with `split` the ring of that.
-        rings = 2 + (settings.split == "variance")
-        return radius, max(rings * radius, taps)
-    if name == "layered":
-        # A tap is as far as the velocity, its turn, and what a path bends, the radius at most each;
-        # the lines of the tile that a pixel reads begin no farther away.
-        return fine_tile(radius), (2 + curved) * taps + fine_tile(radius)
-    raise ValueError(f"`filter` must be one whose reach is known, got {name!r}.")
-
-
-def _farthest_tap(name: str, parameters: Any, settings: Settings) -> float:
-    """The largest ``|t|`` of a tap, in units of the radius; jitter may carry it beyond 1."""
-    jitter = 0.5
-    if name == "guertin2014":
-        try:
-            jitter = float(parameters.eta) * float(parameters.phi) / settings.samples
-        except jax.errors.ConcretizationTypeError as error:
-            raise ValueError(
-                "`parameters` must be numbers here, not traced: how far a tap reaches hangs on "
-                "them; close over them, or use one device."
-            ) from error
-    return max(1.0, 1 + 2 * (jitter - 1) / (settings.samples + 1))
+    info = filter_info(filter) if isinstance(filter, str) else filter
+    if info.row_reach is None:
+        raise ValueError(
+            f"`filter` must be one whose reach is known, got {info.name!r}; give its FilterInfo a "
+            "`row_reach`, or use one device."
+        )
+    return info.row_reach(parameters, checked_settings(settings, info.kind, info.name), curved)
 
 
 def _blur_window(
-    name: str,
+    info: FilterInfo,
     settings: Settings,
     blocks: Blocks,
     window: tuple[int, int],
@@ -240,7 +217,7 @@ def _blur_window(
     """Blur what lies inside the image of a block and its halo, and give the block."""
     start, end = window
     frame, noise = jax.tree.map(lambda buffer: buffer[start:end], own)
-    image = FILTERS[name](frame, parameters, settings=settings, noise=noise)
+    image = info.call(frame, parameters, settings=settings, noise=noise)
     image = image[blocks.halo - start :][: blocks.rows]
     return jnp.pad(image, ((0, blocks.rows - len(image)), (0, 0), (0, 0)))
 

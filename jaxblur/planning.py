@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .filters import FILTERS, PUBLISHED
+from .filters.registry import filter_info
 from .frame import Frame, check_frame
 from .settings import Settings
 from .tiles import tile_argmax, tile_max, tile_variance
@@ -98,7 +98,7 @@ class Plan:
 
     def __call__(self, frame: Frame) -> Any:
         """Blur a frame as planned: (H, W, C) linear light."""
-        return FILTERS[self.filter](frame, self.parameters, settings=self.settings)
+        return filter_info(self.filter).call(frame, self.parameters, settings=self.settings)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -273,12 +273,12 @@ def _nothing_moves(statistics: FrameStatistics, candidates: list[_Candidate]) ->
 
 
 def _make_plan(chosen: _Candidate, statistics: FrameStatistics, reason: str) -> Plan:
-    name = chosen.record["filter"]
-    published = PUBLISHED[name][0]
-    parameters = chosen.record["parameters"]
-    settings = Settings(**chosen.record["settings"], radius=statistics.radius)
-    record = None if published is None else dataclasses.replace(published, **parameters)
-    return Plan(name, settings, record, reason, chosen.loss, chosen.spread, chosen.milliseconds)
+    info = filter_info(chosen.record["filter"])
+    settings = info.kind(**chosen.record["settings"], radius=statistics.radius)
+    parameters = info.make_parameters(**chosen.record["parameters"])
+    return Plan(
+        info.name, settings, parameters, reason, chosen.loss, chosen.spread, chosen.milliseconds
+    )
 
 
 def _reason(chosen: _Candidate, statistics: FrameStatistics, why: str) -> str:

@@ -1,9 +1,10 @@
 """Static choices of a filter run: what is fixed when a filter is compiled."""
 
 import dataclasses
+import functools
 import math
 import typing
-from typing import Literal
+from typing import Literal, TypeVar
 
 Border = Literal["skip", "clamp"]
 Fetch = Literal["nearest", "bilinear"]
@@ -18,36 +19,25 @@ Backend = Literal["auto", "native", "xla"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Static settings of a filter run; hashable, equal settings share one compilation.
+    """Static settings that every filter has; hashable, equal settings share one compilation.
 
-    Defaults are those of Guertin et al. 2014 section 3.5. McGuire et al. 2012 publish
-    ``Settings(samples=15, radius=20)``.
+    A filter with further choices has a subclass of its own, such as `GuertinSettings`: a frozen,
+    keyword-only dataclass whose fields have defaults, choices annotated as ``Literal``.
 
     Attributes:
         samples: taps per pixel, N or S in the papers; McGuire 2012 needs an odd number.
         radius: tile size and the longest half-spread, in pixels; longer ones are clamped to it.
-        spacing: pixels of path that a sample stands for at least, k/S constant [McGuire 2012,
-            section 2.1]: shorter paths take fewer samples, at least five. 0 takes all of them
-            everywhere, as published; 0.7 costs less than 0.1 dB.
+        spacing: minimum sample spacing in pixels, k/S constant [McGuire 2012, section 2.1]:
+            shorter paths take fewer samples, at least five. 0 takes all of them everywhere, as
+            published; 0.7 costs less than 0.1 dB.
         border: ``skip`` gives taps outside the image no weight; ``clamp`` reads the edge texel.
         fetch: how *color* is read at a tap; velocity and depth always come from the nearest
             texel, because interpolating opposed velocities cancels them.
-        tile_choice: which tile's dominant velocity a pixel reads near a tile border:
-            ``stochastic`` draws it, ``own`` never leaves the tile, ``expected`` mixes the results
-            of all reachable tiles by their probability (differentiable in tau).
-        split: how taps are shared between the two directions of Guertin 2014: ``even`` half and
-            half, ``variance`` by the angular variance of the tile's ring (eq. 3.2).
         noise: built-in noise used when none is passed: interleaved gradient noise, Halton, none.
-        directions: ``one`` sends every tap of Guertin 2014 along the dominant velocity, for
-            scenes in which neighbors move alike.
-        direction_weights: ``off`` leaves out how well a velocity agrees with the direction of the
-            tap in the weights of Guertin 2014.
-        diagonal_tiles: which diagonal tiles Guertin 2014 counts in the dominant velocity:
-            those whose velocity is ``reaching`` the tile (section 3.4.4), or ``all``.
-        backend: what sums the samples: on a CPU ``native`` code, compiled on first use and kept
-            in the user's cache folder, needs a C++ compiler and float32; ``xla`` runs everywhere;
-            ``auto`` takes native code where it can. Results agree but for rounding. What a CPU
-            exports for other platforms needs ``xla``.
+        backend: how the samples are summed: on a CPU ``native`` code, compiled on first use and
+            kept in the user's cache folder, needs a C++ compiler and float32; ``xla`` runs
+            everywhere; ``auto`` takes native code where it can. Results agree except for rounding.
+            A function that a CPU exports for other platforms needs ``xla``.
 
     Raises:
         ValueError: a setting is out of range or unknown.
@@ -58,12 +48,7 @@ class Settings:
     spacing: float = 0.0
     border: Border = "skip"
     fetch: Fetch = "nearest"
-    tile_choice: TileChoice = "stochastic"
-    split: Split = "even"
     noise: NoiseKind = "ign"
-    directions: Directions = "two"
-    direction_weights: DirectionWeights = "on"
-    diagonal_tiles: DiagonalTiles = "reaching"
     backend: Backend = "auto"
 
     def __post_init__(self):
@@ -75,21 +60,97 @@ class Settings:
                 raise ValueError(f"`{name}` must be at least 1, got {value}.")
         if not 0 <= self.spacing < math.inf:
             raise ValueError(f"`spacing` must be a number of pixels >= 0, got {self.spacing}.")
-        for name, kind in CHOICES.items():
+        for name, options in choices_of(type(self)).items():
             value = getattr(self, name)
-            if value not in kind:
-                options = ", ".join(repr(option) for option in kind)
-                raise ValueError(f"`{name}` must be one of {options}, got {value!r}.")
+            if value not in options:
+                listing = ", ".join(repr(option) for option in options)
+                raise ValueError(f"`{name}` must be one of {listing}, got {value!r}.")
+
+    @property
+    def has_outcomes(self) -> bool:
+        """Whether the filter draws one of several outcomes at a pixel, such as a tile."""
+        return False
 
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "border": typing.get_args(Border),
-    "fetch": typing.get_args(Fetch),
-    "tile_choice": typing.get_args(TileChoice),
-    "split": typing.get_args(Split),
-    "noise": typing.get_args(NoiseKind),
-    "directions": typing.get_args(Directions),
-    "direction_weights": typing.get_args(DirectionWeights),
-    "diagonal_tiles": typing.get_args(DiagonalTiles),
-    "backend": typing.get_args(Backend),
-}
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GuertinSettings(Settings):
+    """Settings of `jaxblur.guertin2014`; the defaults are those of section 3.5 of the paper.
+
+    Attributes:
+        tile_choice: which tile's dominant velocity a pixel reads near a tile border:
+            ``stochastic`` draws it, ``own`` never leaves the tile, ``expected`` mixes the results
+            of all reachable tiles by their probability (differentiable in tau).
+        split: how taps are shared between the two directions: ``even`` half and half,
+            ``variance`` by the angular variance of the tile's ring (eq. 3.2).
+        directions: ``one`` sends every tap along the dominant velocity, for scenes in which
+            neighbors move alike.
+        direction_weights: ``off`` leaves out of the weights how well a velocity agrees with the
+            direction of the tap.
+        diagonal_tiles: which diagonal tiles count in the dominant velocity: those whose velocity
+            is ``reaching`` the tile (section 3.4.4), or ``all``.
+    """
+
+    tile_choice: TileChoice = "stochastic"
+    split: Split = "even"
+    directions: Directions = "two"
+    direction_weights: DirectionWeights = "on"
+    diagonal_tiles: DiagonalTiles = "reaching"
+
+    @property
+    def has_outcomes(self) -> bool:
+        """Whether a pixel may read another tile than its own."""
+        return self.tile_choice != "own"
+
+
+Kind = TypeVar("Kind", bound=Settings)
+
+
+def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the filter") -> Kind:
+    """Settings as a filter takes them.
+
+    Args:
+        settings: of that kind, or plain `Settings`, whose missing choices become the defaults.
+        kind: the class that the filter takes: `Settings` or a subclass.
+        filter: its name, for the message.
+
+    Returns:
+        The same settings as an object of that class.
+
+    Raises:
+        ValueError: the settings hold choices that the filter does not have.
+
+    >>> checked_settings(Settings(samples=9), GuertinSettings).tile_choice
+    'stochastic'
+    """
+    if type(settings) is kind:
+        return settings
+    names = {field.name for field in dataclasses.fields(kind)}
+    extra = [field.name for field in dataclasses.fields(settings) if field.name not in names]
+    if extra:
+        raise ValueError(
+            f"`settings` holds choices that {filter} does not have ({', '.join(extra)}); pass "
+            f"jaxblur.{kind.__name__}."
+        )
+    values = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return kind(**values)
+
+
+@functools.cache
+def choices_of(kind: type[Settings]) -> dict[str, tuple[str, ...]]:
+    """The choices of a class of settings.
+
+    Args:
+        kind: `Settings` or a subclass.
+
+    Returns:
+        Options by name of the field, for fields that are annotated as ``Literal``.
+
+    >>> choices_of(Settings)["border"]
+    ('skip', 'clamp')
+    """
+    hints = typing.get_type_hints(kind)
+    return {
+        field.name: typing.get_args(hints[field.name])
+        for field in dataclasses.fields(kind)
+        if typing.get_origin(hints[field.name]) is Literal
+    }

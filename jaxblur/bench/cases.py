@@ -1,12 +1,12 @@
-"""What is measured: a method with its settings, and grids of such cases."""
+"""Cases to measure, each a method with its settings, and grids of them."""
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from ..filters import PUBLISHED
-from ..settings import Settings
+from ..filters.registry import FILTERS, FilterInfo, filter_info
+from ..settings import Settings, checked_settings
 
 UNBLURRED = "unblurred"
 RENDERERS = ("accumulate", "stochastic", "motion_paths")
@@ -20,7 +20,7 @@ class Case:
     """A method with its settings.
 
     Attributes:
-        method: a key of `jaxblur.FILTERS`, one of `RENDERERS`, `UNBLURRED`, or another method that
+        method: name of a registered filter, one of `RENDERERS`, `UNBLURRED`, or another method that
             `measure` is given.
         settings: of the run; for renderers only the number of samples matters.
         auto_radius: take the radius from the frame, and not from the settings.
@@ -30,6 +30,11 @@ class Case:
     settings: Settings = Settings()
     auto_radius: bool = False
 
+    def __post_init__(self):
+        if (info := filter_of(self.method)) is not None:
+            checked = checked_settings(self.settings, info.kind, info.name)
+            object.__setattr__(self, "settings", checked)
+
     @property
     def has_settings(self) -> bool:
         """Whether all settings matter to the method, as they do to a filter."""
@@ -37,22 +42,21 @@ class Case:
 
     @property
     def is_published(self) -> bool:
-        """Whether these are the settings that the authors of the filter published."""
-        if self.method not in PUBLISHED or self.auto_radius:
-            return False
-        return self.settings == published(self.method)
+        """Whether these are the default settings of the filter."""
+        known = filter_of(self.method) is not None
+        return known and not self.auto_radius and self.settings == usual_settings(self.method)
 
     @property
     def label(self) -> str:
-        """The method and what differs from its published settings, in a few words."""
+        """The method and the settings that differ from its defaults, in a few words."""
         if self.method == UNBLURRED:
             return self.method
         words = [f"{self.method} N={self.settings.samples}"]
         if self.has_settings:
-            usual = published(self.method)
+            usual = usual_settings(self.method)
             differing = {
                 field.name: value
-                for field in dataclasses.fields(Settings)
+                for field in dataclasses.fields(self.settings)
                 if (value := getattr(self.settings, field.name)) != getattr(usual, field.name)
             }
             differing.pop("samples", None)
@@ -63,48 +67,58 @@ class Case:
         return " ".join(words)
 
 
-def published(method: str) -> Settings:
-    """The settings that a filter was published with.
+def filter_of(method: str) -> FilterInfo | None:
+    """What is known of a method that is a filter; None for other methods."""
+    return filter_info(method) if method in FILTERS else None
+
+
+def usual_settings(method: str) -> Settings:
+    """The default settings of a method.
 
     Args:
         method: as in `Case`.
 
     Returns:
-        The settings; the defaults for what was not published anywhere.
+        Those of the filter; plain `Settings` for other methods.
     """
-    return PUBLISHED[method][1] if method in PUBLISHED else Settings()
+    info = filter_of(method)
+    return Settings() if info is None else info.settings
 
 
-def make_case(method: str, **changes: Any) -> Case:
-    """A case that differs from what was published.
+def make_case(method: str | Callable[..., Any], **changes: Any) -> Case:
+    """A case that differs from the defaults.
 
     Args:
-        method: as in `Case`.
-        **changes: fields of `jaxblur.Settings`; ``radius`` may be ``"auto"``.
+        method: as in `Case`, or the function of a registered filter.
+        **changes: fields of the method's settings; ``radius`` may be ``"auto"``.
 
     Returns:
         The case.
 
     Raises:
-        ValueError: a setting is out of range.
+        ValueError: a setting is unknown or out of range.
     """
     automatic = changes.get("radius") == AUTO
     if automatic:
         del changes["radius"]
-    return Case(method, dataclasses.replace(published(method), **changes), automatic)
+    name = method if isinstance(method, str) else filter_info(method).name
+    info = filter_of(name)
+    settings = Settings(**changes) if info is None else info.make_settings(**changes)
+    return Case(name, settings, automatic)
 
 
 Axes = dict[str, Sequence[Any]]
-"""Values to try, by field of `jaxblur.Settings`."""
+"""Values to try, by name of the setting."""
 
 
 def product(methods: Iterable[str], axes: Axes) -> list[Case]:
     """Every method with every combination of the values.
 
     Args:
-        methods: as in `Case`; the unblurred frame joins once, renderers once for each number of
-            samples.
-        axes: values by setting; those left out are as published.
+        methods: as in `Case`; the unblurred frame is added once, renderers once for each number
+            of samples.
+        axes: values by setting; those left out take their defaults, and a method that does not
+            have a setting is not varied along it.
 
     Returns:
         The cases, each once.
@@ -118,7 +132,7 @@ def product(methods: Iterable[str], axes: Axes) -> list[Case]:
 
 
 def one_at_a_time(methods: Iterable[str], axes: Axes) -> list[Case]:
-    """Every method as published, and with one setting changed at a time.
+    """Every method with its defaults, and with one setting changed at a time.
 
     Args:
         methods: as in `product`.
@@ -137,6 +151,21 @@ def one_at_a_time(methods: Iterable[str], axes: Axes) -> list[Case]:
 
 
 def _axes_of(method: str, axes: Axes) -> Axes:
-    """The settings that matter to a method."""
-    matter = axes if Case(method).has_settings else ("samples",) if method in RENDERERS else ()
-    return {name: values for name, values in axes.items() if name in matter}
+    """The settings among some that a method has."""
+    return {name: values for name, values in axes.items() if name in names_of_settings(method)}
+
+
+def names_of_settings(method: str) -> tuple[str, ...]:
+    """The settings that matter to a method.
+
+    Args:
+        method: as in `Case`.
+
+    Returns:
+        Names of fields of its settings.
+    """
+    if method in RENDERERS:
+        return ("samples",)
+    if method == UNBLURRED:
+        return ()
+    return tuple(field.name for field in dataclasses.fields(usual_settings(method)))

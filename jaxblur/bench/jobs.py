@@ -1,4 +1,4 @@
-"""What is to be measured: which cases on which subjects, and what is left of that."""
+"""Jobs, cases on subjects, and those of them that are not measured yet."""
 
 from collections.abc import Iterable
 
@@ -14,10 +14,10 @@ _SOURCE = "accumulate "
 def batches(
     jobs: Iterable[tuple[Subject, Case]], done: Iterable[Row], size: int
 ) -> list[tuple[Subject, list[Case]]]:
-    """What is left to measure, in batches of one subject that are timed in turn.
+    """The jobs that are not measured yet, in batches of one subject that are timed in turn.
 
     Args:
-        jobs: everything that is wanted.
+        jobs: all measurements that are wanted.
         done: rows of the file so far; those of this code and machine are not measured again.
         size: most cases in a batch.
 
@@ -25,7 +25,7 @@ def batches(
         Subjects and cases.
     """
     known = {row.key for row in done}
-    # Renderers are slow: among filters they would use up the time of the rounds.
+    # Renderers are slow: in a batch with filters they would use up the time of the rounds.
     left: dict[tuple[Subject, bool], list[Case]] = {}
     for subject, case in dict.fromkeys(jobs):
         if (*identity(subject, case), code_digest(), machine()) not in known:
@@ -38,7 +38,7 @@ def batches(
 
 
 def catalogue_jobs(rows: Iterable[Row]) -> list[tuple[Subject, Case]]:
-    """What rows measured on scenes of the catalogue, to measure it again.
+    """The jobs of rows that were measured on scenes of the catalogue, to repeat them.
 
     Args:
         rows: of an older file.
@@ -47,7 +47,7 @@ def catalogue_jobs(rows: Iterable[Row]) -> list[tuple[Subject, Case]]:
         Subjects and cases; rows of files are left out.
 
     Raises:
-        ValueError: there is no such method or setting any more.
+        ValueError: the method or a setting no longer exists.
     """
     jobs = []
     for row in rows:

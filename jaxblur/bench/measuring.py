@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from .. import metrics, scenes
-from ..filters import FILTERS
+from ..filters.registry import FILTERS
 from ..settings import Settings
 from ..vectors import speed_statistics
 from .cases import UNBLURRED, Case

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ..filters import FILTERS, PUBLISHED
+from ..filters.registry import filter_info
 from ..frame import Frame
 from ..settings import Settings
 
@@ -30,7 +30,7 @@ class Program:
 
 
 class Programs:
-    """Compiled filters. Settings that come to the same program share it, and so its figures."""
+    """Compiled filters. Settings that give the same program share it, and its figures."""
 
     def __init__(self):
         self._by_case: dict[Any, Program] = {}
@@ -40,7 +40,7 @@ class Programs:
         """The program for a frame of this size, compiled if it is new.
 
         Raises:
-            ValueError: the filter refuses the settings.
+            ValueError: the filter rejects the settings.
         """
         shapes = tuple(buffer.shape for buffer in jax.tree.leaves(frame))
         key = method, settings, shapes
@@ -49,10 +49,11 @@ class Programs:
         return self._by_case[key]
 
     def _compile(self, method: str, settings: Settings, frame: Frame) -> Program:
-        structure = jax.tree.structure(_published_parameters(method))
+        info = filter_info(method)
+        structure = jax.tree.structure(info.make_parameters())
 
         def blur(leaves: list[jax.Array], frame: Frame) -> jax.Array:
-            return FILTERS[method](frame, jax.tree.unflatten(structure, leaves), settings=settings)
+            return info.call(frame, jax.tree.unflatten(structure, leaves), settings=settings)
 
         started = time.perf_counter()
         lowered = jax.jit(blur).lower(parameter_leaves(method), frame)
@@ -67,14 +68,9 @@ class Programs:
 
 
 def parameter_leaves(method: str) -> list[jax.Array]:
-    """The published parameters of a filter, float32, in the order of their record."""
-    return [
-        jnp.asarray(leaf, jnp.float32) for leaf in jax.tree.leaves(_published_parameters(method))
-    ]
-
-
-def _published_parameters(method: str) -> Any:
-    return PUBLISHED[method][0] if method in PUBLISHED else None
+    """The default parameters of a filter, float32, in the order of their record."""
+    parameters = filter_info(method).make_parameters()
+    return [jnp.asarray(leaf, jnp.float32) for leaf in jax.tree.leaves(parameters)]
 
 
 def machine() -> str:

@@ -1,4 +1,8 @@
-"""Rows of results and the CSV file that holds them: resumable, whole at every moment."""
+"""Rows of results and the CSV file that holds them: resumable, and complete at all times.
+
+A setting that a method does not have is an empty cell; one that is newer than the file, and so has
+no column, takes its default.
+"""
 
 import csv
 import dataclasses
@@ -10,14 +14,15 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ..exr.atomic import replacing
-from ..settings import Settings
-from .cases import AUTO, RENDERERS, Case
+from ..settings import GuertinSettings
+from .cases import AUTO, RENDERERS, UNBLURRED, Case, filter_of, names_of_settings, usual_settings
 from .subjects import Subject
 
 _PACKAGE = pathlib.Path(__file__).parents[1]
 _NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show", "vectors"}
 _SOURCES = {".py", ".cc", ".h"}
-SETTINGS = tuple(field.name for field in dataclasses.fields(Settings))
+SETTINGS = tuple(field.name for field in dataclasses.fields(GuertinSettings))
+"""Columns: the settings that every filter has, and those of guertin2014."""
 _NUMBERS = {"samples": int, "radius": int, "spacing": float}
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
 IDENTITY_COLUMNS = (*SUBJECT_COLUMNS, "method", *SETTINGS)
@@ -94,7 +99,7 @@ class Row:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What makes a measurement the same as an earlier one, so that it need not be redone."""
+        """Equal for measurements of the same thing, which need not be repeated."""
         return (*self.identity, self.code, self.machine)
 
     @property
@@ -102,18 +107,24 @@ class Row:
         """The case that was measured.
 
         Raises:
-            ValueError: there is no such method or setting any more.
+            ValueError: the method or a setting no longer exists.
         """
         texts = {name: text for name in SETTINGS if (text := self[name])}
         automatic = texts.get("radius") == AUTO
         if automatic:
             del texts["radius"]
         values: dict[str, Any] = {n: _NUMBERS.get(n, str)(text) for n, text in texts.items()}
-        return Case(self["method"], Settings(**values), automatic)
+        kind = type(usual_settings(self["method"]))
+        return Case(self["method"], kind(**values), automatic)
 
 
 def identity(subject: Subject, case: Case) -> tuple[str, ...]:
-    """Texts by `IDENTITY_COLUMNS`; settings that do not matter to the method are empty."""
+    """Texts by `IDENTITY_COLUMNS`; settings that the method does not have are empty.
+
+    Raises:
+        ValueError: the case changes a setting that has no column: only the settings that every
+            filter has, and those of guertin2014, have one.
+    """
     height, width = subject.size
     texts = {
         "scene": subject.name,
@@ -123,10 +134,16 @@ def identity(subject: Subject, case: Case) -> tuple[str, ...]:
         "source": subject.source,
         "method": case.method,
     }
-    matter = SETTINGS
-    if not case.has_settings:
-        matter = ("samples",) if case.method in RENDERERS else ()
-    texts |= {name: str(getattr(case.settings, name)) for name in matter}
+    usual = usual_settings(case.method)
+    for name in names_of_settings(case.method):
+        value = getattr(case.settings, name)
+        if name in SETTINGS:
+            texts[name] = str(value)
+        elif value != getattr(usual, name):
+            raise ValueError(
+                f"`case` must leave `{name}` at its default, {getattr(usual, name)!r}: results "
+                "have no column for it; register a second filter with that default."
+            )
     if case.has_settings and case.auto_radius:
         texts["radius"] = AUTO
     return tuple(texts.get(column, "") for column in IDENTITY_COLUMNS)
@@ -144,7 +161,11 @@ def code_digest() -> str:
 
 
 def read_rows(path: pathlib.Path) -> list[Row]:
-    """Read a file of results; columns that it lacks are empty, further ones are left out.
+    """Read a file of results; missing columns are filled in, unknown ones are left out.
+
+    A missing column of a setting is newer than the file: its rows were measured with the default.
+    Version 0.1 filled in the settings of guertin2014 for every filter; they are left out for the
+    others, which ignored them.
 
     Args:
         path: of the CSV file.
@@ -172,20 +193,28 @@ def _parse(path: pathlib.Path, line: int, record: dict[str, Any]) -> Row:
         figures = {n: float(text) for n in FIGURE_COLUMNS if (text := record.get(n))}
     except ValueError as error:
         raise ValueError(f"{path}: line {line}: {error}; remove the line.") from error
-    texts = tuple(record.get(column) or "" for column in IDENTITY_COLUMNS)
+    texts = {column: record.get(column) or "" for column in IDENTITY_COLUMNS}
+    method = texts["method"]
+    if filter_of(method) is not None or method in (*RENDERERS, UNBLURRED):
+        known, usual = names_of_settings(method), usual_settings(method)
+        for name in SETTINGS:
+            if name not in known:
+                texts[name] = ""
+            elif name not in record:
+                texts[name] = str(getattr(usual, name))
     code, machine = record.get("code") or "", record.get("machine") or ""
-    return Row(texts, code, machine, Figures(**figures))
+    return Row(tuple(texts.values()), code, machine, Figures(**figures))
 
 
 def write_rows(path: pathlib.Path, rows: Iterable[Row]) -> None:
-    """Write a file of results, whole or not at all: an interruption leaves the older one.
+    """Write a complete file of results, or none: an interruption leaves the older one.
 
     Args:
         path: of the CSV file; replaced if it exists.
         rows: what to write.
 
     Raises:
-        JaxblurIOError: the disk refused.
+        JaxblurIOError: the file cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -202,7 +231,7 @@ def _cell(value: float | None) -> str:
 
 
 def latest(rows: Sequence[Row]) -> list[Row]:
-    """Of rows that measure the same, on whatever code, the last one.
+    """The last row of each measurement, whatever the code.
 
     Args:
         rows: in the order of the file.

@@ -6,9 +6,10 @@ import pathlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from jaxblur.settings import CHOICES, Settings
+from jaxblur.filters.registry import names
+from jaxblur.settings import Settings
 
-from . import published, stages
+from . import stages
 from .arguments import (
     CommandError,
     add_command,
@@ -21,13 +22,14 @@ from .arguments import (
 )
 from .compute import start_jax
 from .console import print_line, print_table, track
-from .filtering import add_nonfinite_option
+from .filtering import CHOICES, add_nonfinite_option, filter_name, find_filter
 from .scene import check_scene, image_size
 from .sources import add_source_options
 
 LOG = logging.getLogger("jaxblur")
 
-METHODS = (*published.FILTERS, "unblurred", "accumulate", "stochastic", "motion_paths")
+OTHERS = ("unblurred", "accumulate", "stochastic", "motion_paths")
+"""Methods that are no filters."""
 AXES = ("samples", "radius", "fetch", "tile_choice", "directions")
 BATCH = 8
 REGRESSION = 1
@@ -35,15 +37,15 @@ REGRESSION = 1
 EXPLANATION = """\
 Every row of RESULTS.csv is one method with its settings on one frame: median and interquartile
 range of the time (compiled before, timed in turn with others, and with a fixed piece of work that
-tells how busy the machine is), processor time, compile time, memory, and with a truth PSNR, SSIM
+shows how busy the machine is), processor time, compile time, memory, and with a truth PSNR, SSIM
 and FLIP on display values, whole and where motion reaches (moving_...). Run again to go on after an
-interruption: what the file holds is not measured again, unless the code has changed.
+interruption: cases that the file holds are not measured again, unless the code has changed.
 
 --compare divides each time by that of the fixed work in the same rounds. A case is slower if
 the ratio exceeds 1 + tolerance by more than three standard errors, larger if its temporary buffers
 grew by more than the tolerance, worse if PSNR where motion reaches fell by more than 0.1 dB; any of
-these gives exit status 1. What OLD.csv holds of the frames or scenes is measured again, all of its
-scenes if none are given; options of the grid leave some out."""
+these gives exit status 1. The cases that OLD.csv holds for the frames or scenes are measured again,
+of all its scenes if none are given; options of the grid leave some out."""
 
 
 def add_parser(commands: Any) -> None:
@@ -58,7 +60,7 @@ def add_parser(commands: Any) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="what FRAME should become; one for each frame, in their order",
+        help="truth of FRAME; one for each frame, in their order",
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truths to look in")
     parser.add_argument(
@@ -83,7 +85,7 @@ def add_parser(commands: Any) -> None:
         type=positive_number,
         default=10.0,
         metavar="PERCENT",
-        help="by which time and memory may grow (default %(default)g)",
+        help="growth of time and memory that is allowed (default %(default)g)",
     )
     add_vector_options(parser)
     add_nonfinite_option(add_source_options(parser))
@@ -116,7 +118,8 @@ def _add_grid_options(parser: argparse.ArgumentParser) -> None:
         "--methods",
         type=_several(_method),
         metavar="NAME,...",
-        help=f"of {', '.join(METHODS)} (default: the filters, and unblurred)",
+        help=f"filters (see `jaxblur blur --help`) or {', '.join(OTHERS)} (default: the filters, "
+        "and unblurred); FILE.py:NAME for a filter of your own",
     )
     group.add_argument(
         "--samples", type=_several(positive_integer), metavar="N,...", help="default 9,15,27,35"
@@ -145,7 +148,7 @@ def _add_grid_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure what the file lacks, print the fronts, compare; see `add_parser`."""
+    """Measure the cases that the file lacks, print the fronts, compare; see `add_parser`."""
     _check(arguments)
     # Compile times are part of the results.
     start_jax(compile_cache=False)
@@ -181,7 +184,7 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.compare and arguments.compare.resolve() == arguments.output.resolve():
         raise CommandError(
-            f"{arguments.output}: is what it would be compared with; choose another."
+            f"{arguments.output}: would be compared with itself; choose another file."
         )
 
 
@@ -192,12 +195,12 @@ def _read(path: pathlib.Path) -> list[Any]:
         return bench.read_rows(path)
     except UnicodeDecodeError as error:
         raise CommandError(
-            f"{path}: is no text; give a file that `jaxblur bench` wrote."
+            f"{path}: is not text; give a file that `jaxblur bench` wrote."
         ) from error
 
 
 def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Subjects with their cases: as asked for, or those of the older file that are asked for."""
+    """Subjects with their cases: as asked for, or those of them that the older file holds."""
     subjects = _subjects(arguments)
     if not arguments.compare:
         return [(subject, case) for subject in subjects for case in _cases(arguments)]
@@ -216,7 +219,7 @@ def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, 
     if not jobs:
         asked = ", ".join(subject.name for subject in subjects) or "scenes of the catalogue"
         raise CommandError(
-            f"{arguments.compare}: holds nothing that is asked for of {asked}; give the frames "
+            f"{arguments.compare}: holds no case that is asked for of {asked}; give the frames "
             "that it measured, or other settings."
         )
     return jobs
@@ -229,10 +232,8 @@ def _is_asked_for(arguments: argparse.Namespace, case: Any) -> bool:
     if not case.has_settings:
         return True
     values = vars(case.settings) | ({"radius": "auto"} if case.auto_radius else {})
-    return all(
-        getattr(arguments, name) is None or values[name] in getattr(arguments, name)
-        for name in AXES
-    )
+    asked = {name: given for name in AXES if (given := getattr(arguments, name)) is not None}
+    return all(values[name] in given for name, given in asked.items() if name in values)
 
 
 def _subjects(arguments: argparse.Namespace) -> list[Any]:
@@ -270,13 +271,13 @@ def _cases(arguments: argparse.Namespace) -> list[Any]:
     axes = {name: values for name in AXES if (values := getattr(arguments, name))}
     axes.setdefault("samples", [9, 15, 27, 35])
     grid = {"product": bench.product, "axes": bench.one_at_a_time}[arguments.grid]
-    return grid(arguments.methods or [*published.FILTERS, "unblurred"], axes)
+    return grid(arguments.methods or [*names(), "unblurred"], axes)
 
 
 def _measure(
     arguments: argparse.Namespace, jobs: list[tuple[Any, Any]], known: list[Any]
 ) -> list[Any]:
-    """Measure what is not known, and write the file after every batch."""
+    """Measure the cases that are not known, and write the file after every batch."""
     from jaxblur import bench
 
     batches = bench.batches(jobs, known, BATCH)
@@ -333,7 +334,9 @@ def _several(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
 
 
 def _method(text: str) -> str:
-    return one_of(text, METHODS, "method")
+    if ":" in text:
+        return find_filter(filter_name(text)).name
+    return one_of(text, (*names(), *OTHERS), "method")
 
 
 def _radius(text: str) -> int | str:

@@ -6,9 +6,7 @@ import pathlib
 import time
 from typing import Any
 
-from jaxblur.settings import CHOICES
-
-from . import published, results, sequence, stages
+from . import results, sequence, stages
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -23,9 +21,11 @@ from .arguments import (
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import (
+    CHOICES,
     add_filter_options,
     add_nonfinite_option,
     complete,
+    describe_filters,
     report_ignored,
 )
 from .sources import add_source_options
@@ -39,7 +39,7 @@ def add_parser(commands: Any) -> None:
         commands, "blur", "Blur a frame, or a sequence of frames, along motion vectors.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.more_help = lambda: f"{published.describe_filters()}\n\n{describe_presets()}"
+    parser.more_help = lambda: f"{describe_filters()}\n\n{describe_presets()}"
     parser.add_argument(
         "input",
         type=file_path,
@@ -71,7 +71,7 @@ def add_parser(commands: Any) -> None:
         "--parameters",
         type=pathlib.Path,
         metavar="FILE",
-        help="filter, parameters and settings as `jaxblur fit` wrote them; options override",
+        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
     )
     _add_plan_options(parser)
     add_vector_options(parser)
@@ -84,7 +84,7 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
         "--plan",
         choices=("auto",),
         help="choose filter, settings and parameters by statistics of the frame, and say why; "
-        "takes the place of all filter options, which are refused beside it",
+        "replaces all filter options, which are rejected beside it",
     )
     group.add_argument(
         "--tolerance",

@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import jaxblur
-from jaxblur.settings import Settings
+from jaxblur.filters.registry import filter_info
 
-from . import published
 from .arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
 from .compute import start_jax
 from .console import print_line, print_table
-from .filtering import apply_filter
+from .filtering import DEFAULT_FILTER, apply_filter
 from .report import write_page
 from .scene import image_size, make_scene
 from .stages import SCORE_COLUMNS, score_rows, scores
@@ -52,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import exr
     from jaxblur.report import MANIFEST
 
-    folder, name = arguments.output, published.DEFAULT_FILTER
+    folder, name = arguments.output, DEFAULT_FILTER
     check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
@@ -72,10 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     frame = scenes.render(scene, 0.0, SHUTTER, arguments.size, path=True)
     LOG.info("truth: the mean of %d images", TRUTH_SAMPLES)
     truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
-    known = published.FILTERS[name]
-    settings = Settings(samples=known.samples, radius=known.radius, fetch=known.fetch)
     LOG.info("blur: %s", name)
-    blurred = apply_filter(name, frame, {}, settings)
+    blurred = apply_filter(name, frame, {}, filter_info(name).settings)
 
     notes = {"jaxblur:version": jaxblur.__version__, "jaxblur:scene": arguments.scene}
     exr.write_frame(images["sharp"], frame, SHUTTER, attributes=notes)

@@ -1,20 +1,25 @@
-"""Which filter runs, with what parameters and settings: options shared by the commands."""
+"""The filter that runs, with its parameters and settings: options shared by the commands."""
 
 import argparse
 import dataclasses
-from collections.abc import Mapping
+import pathlib
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from jaxblur.settings import CHOICES, Settings
+from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
+from jaxblur.settings import GuertinSettings, Settings, checked_settings, choices_of
 
-from . import published
-from .arguments import CommandError, one_of, positive_integer, positive_number
+from .arguments import CommandError, did_you_mean, one_of, positive_integer, positive_number
 from .console import print_line
 
+DEFAULT_FILTER = "layered"
+FITTED_FILTER = "guertin2014"
+"""The filter that `jaxblur fit` fits by default."""
+CHOICES = choices_of(GuertinSettings)
+"""Settings with an option that takes one of some names."""
 
-def add_filter_options(
-    parser: argparse.ArgumentParser, default: str = published.DEFAULT_FILTER
-) -> Any:
+
+def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_FILTER) -> Any:
     """Add the options that say which filter runs, and how; `complete` reads them.
 
     Args:
@@ -27,29 +32,29 @@ def add_filter_options(
     group = parser.add_argument_group("filter")
     group.add_argument(
         "--filter",
-        type=_filter_name,
+        type=filter_name,
         metavar="NAME",
-        help=f"default {default}; see below",
+        help=f"default {default}; see below; FILE.py:NAME for a filter of your own",
     )
     parser.set_defaults(default_filter=default)
     group.add_argument(
         "--samples",
         type=positive_integer,
         metavar="N",
-        help="per pixel; a third as many slices of time for layered (as published)",
+        help="per pixel; layered takes three in each time slice (default: see below)",
     )
     group.add_argument(
         "--radius",
         type=_radius,
         metavar="auto|PX",
-        help="longest half-spread; auto takes it from the frame (as published)",
+        help="longest half-spread; auto takes it from the frame (default: see below)",
     )
     group.add_argument(
         "--spacing",
         type=positive_number,
         metavar="PX",
-        help="pixels of path that a sample stands for at least, so that slow motion takes fewer; "
-        "0.7 is not seen (default: all samples everywhere)",
+        help="minimum sample spacing, so that slow motion takes fewer samples; 0.7 makes no "
+        "visible difference (default: all samples everywhere)",
     )
     group.add_argument(
         "--param",
@@ -59,15 +64,18 @@ def add_filter_options(
         metavar="NAME=VALUE",
         help="a parameter of the filter; repeat for several",
     )
+    common, usual = choices_of(Settings), GuertinSettings()
     for name, options in CHOICES.items():
-        default = "as published" if name == "fetch" else f"default {getattr(Settings(), name)}"
-        only = "guertin2014 only; " if name in published.GUERTIN_CHOICES else ""
-        group.add_argument(f"--{name.replace('_', '-')}", choices=options, help=only + default)
+        default = "see below" if name == "fetch" else getattr(usual, name)
+        only = "" if name in common else "guertin2014 only; "
+        group.add_argument(
+            f"--{name.replace('_', '-')}", choices=options, help=f"{only}default {default}"
+        )
     return group
 
 
 def add_nonfinite_option(group: Any) -> None:
-    """Add the option that says what becomes of NaN and infinity; `report_ignored` tells the count.
+    """Add the option for NaN and infinity; `report_ignored` prints their count.
 
     Args:
         group: of a parser.
@@ -76,7 +84,7 @@ def add_nonfinite_option(group: Any) -> None:
         "--nonfinite",
         choices=("error", "ignore"),
         default="error",
-        help="NaN and infinity: refuse the frame, or leave such colors out, take such vectors as "
+        help="NaN and infinity: reject the frame, or leave such colors out, take such vectors as "
         "still and such depths as sky, and print how many there were (default %(default)s)",
     )
 
@@ -95,7 +103,7 @@ def report_ignored(path: Any, ignored: Any) -> None:
 def complete(
     arguments: argparse.Namespace, fitted: Any = None
 ) -> tuple[str, dict[str, float], Settings]:
-    """Say which filter runs and how: as asked for, else as fitted, else as published.
+    """The filter to run, and how: by the options, else as fitted, else by its defaults.
 
     Args:
         arguments: with the options of `add_filter_options`.
@@ -107,39 +115,125 @@ def complete(
     Raises:
         CommandError: another filter was fitted, a parameter is unknown or out of range, or the
             filter does not have a choice that was given.
+        ValueError: the filter cannot run with these settings.
     """
-    name = arguments.filter or (fitted.filter if fitted else arguments.default_filter)
-    if fitted and fitted.filter != name:
+    chosen = arguments.filter or (fitted.filter if fitted else arguments.default_filter)
+    info = find_filter(chosen)
+    if fitted and fitted.filter != info.name:
         raise CommandError(
             f"{arguments.parameters}: holds parameters of {fitted.filter}; leave out "
-            f"--filter {name}."
+            f"--filter {chosen}."
         )
-    if name not in published.FILTERS:
-        known = ", ".join(published.FILTERS)
-        raise CommandError(f"{arguments.parameters}: no filter {name!r}; there are {known}.")
-    settings = {
-        key: getattr(published.FILTERS[name], key) for key in ("samples", "radius", "fetch")
-    }
-    values = dict(arguments.param)
+    usual, values = info.settings, dict(arguments.param)
     if fitted:
         source = str(arguments.parameters)
-        fitted_values = published.checked_parameters(name, fitted.parameters, source)
-        settings, values = fitted.settings, fitted_values | values
-    names = ("samples", "radius", "spacing", *CHOICES)
-    given = {key: value for key in names if (value := getattr(arguments, key))}
-    if name != "guertin2014" and (unused := [*given.keys() & set(published.GUERTIN_CHOICES)]):
+        usual = fitted.filter_settings
+        values = checked_parameters(info, fitted.parameters, source) | values
+    known = {field.name for field in dataclasses.fields(info.kind)}
+    every = ("samples", "radius", "spacing", *CHOICES)
+    given = {name: value for name in every if (value := getattr(arguments, name))}
+    if unused := given.keys() - known:
         option = min(unused).replace("_", "-")
         raise CommandError(
-            f"--{option}: {name} has no such choice; leave it out, or pass --filter guertin2014."
+            f"--{option}: {info.name} has no such choice; leave it out, or pass --filter "
+            "guertin2014."
         )
-    chosen = Settings(**settings | given)
-    if name == "mcguire2012" and chosen.samples % 2 == 0:
-        raise CommandError(
-            f"--samples must be odd for {name}, got {chosen.samples}; use {chosen.samples + 1}."
-        )
-    if name == "layered" and chosen.samples < 3:
-        raise CommandError(f"--samples must be at least 3 for {name}, got {chosen.samples}.")
-    return name, published.checked_parameters(name, values), chosen
+    settings = dataclasses.replace(usual, **given)
+    if info.check is not None:
+        info.check(settings)
+    return info.name, checked_parameters(info, values), settings
+
+
+def find_filter(reference: str) -> FilterInfo:
+    """The filter that an option names: by its name, or by the file that registers it.
+
+    Args:
+        reference: a name, or ``path/to/file.py:name``.
+
+    Returns:
+        What is known of it.
+
+    Raises:
+        ValueError: there is no such filter, or the file cannot be imported.
+    """
+    return load_filter(reference) if ":" in reference else filter_info(reference)
+
+
+def filter_name(text: str) -> str:
+    """Parse the name of a filter, or ``path/to/file.py:name``.
+
+    Raises:
+        ArgumentTypeError: there is no such filter; the message suggests and lists.
+    """
+    if ":" not in text:
+        return one_of(text, names(), "filter")
+    try:
+        load_filter(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    path, _, name = text.rpartition(":")
+    # Workers of a sequence may stand in another folder.
+    return f"{pathlib.Path(path).resolve()}:{name}"
+
+
+def checked_parameters(
+    info: FilterInfo, given: Mapping[str, float], source: str = "--param"
+) -> dict[str, float]:
+    """Complete the parameters of a filter by their defaults.
+
+    Args:
+        info: the filter.
+        given: values by parameter name.
+        source: where they come from, for the message.
+
+    Returns:
+        All parameters of the filter.
+
+    Raises:
+        CommandError: the filter has no such parameter, or a value is out of range.
+    """
+    check_names(info, given, source)
+    for name, value in given.items():
+        if not info.parameter_infos[name].allows(value):
+            allowed = info.parameter_infos[name].range
+            raise CommandError(f"{source}: {name} must be {allowed}, got {value:g}.")
+    return info.defaults | dict(given)
+
+
+def check_names(info: FilterInfo, parameters: Iterable[str], source: str) -> None:
+    """Reject parameters that a filter does not have.
+
+    Args:
+        info: the filter.
+        parameters: their names.
+        source: where they come from, for the message.
+
+    Raises:
+        CommandError: there is one.
+    """
+    table = info.parameter_infos
+    for name in parameters:
+        if name not in table:
+            known = f"it has {', '.join(table)}" if table else "it has none"
+            hint = did_you_mean(name, table)
+            raise CommandError(f"{source}: {info.name} has no parameter {name!r}{hint}; {known}.")
+
+
+def describe_filters() -> str:
+    """List filters, parameters and defaults for the help."""
+    lines = ["filters, with their default settings and --param names:"]
+    for info in map(filter_info, names()):
+        settings = info.settings
+        lines += [
+            f"  {info.name}: {info.summary}",
+            f"      --samples {settings.samples} --radius {settings.radius} "
+            f"--fetch {settings.fetch}",
+        ]
+        lines += [
+            f"      {f'{name}={known.default:g}':<20} {known.meaning} ({known.range})"
+            for name, known in info.parameter_infos.items()
+        ]
+    return "\n".join(lines)
 
 
 def apply_filter(
@@ -148,27 +242,22 @@ def apply_filter(
     """Run a filter.
 
     Args:
-        name: a key of `jaxblur.FILTERS`.
+        name: of a registered filter.
         buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
-        parameters: by name; the others are as published.
-        settings: how to run it.
+        parameters: by name; the others take their defaults.
+        settings: how to run it; plain `Settings` will do for any filter.
 
     Returns:
         (H, W, C) NumPy array.
     """
     import numpy as np
 
-    from jaxblur.filters import FILTERS, PUBLISHED
     from jaxblur.frame import Frame
 
+    info = filter_info(name)
     frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path, buffers.valid)
-    record = PUBLISHED[name][0]
-    chosen = None if record is None else dataclasses.replace(record, **parameters)
-    return np.asarray(FILTERS[name](frame, chosen, settings=settings))
-
-
-def _filter_name(text: str) -> str:
-    return one_of(text, tuple(published.FILTERS), "filter")
+    settings = checked_settings(settings, info.kind, info.name)
+    return np.asarray(info.call(frame, info.make_parameters(**parameters), settings=settings))
 
 
 def _radius(text: str) -> int | None:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from . import published, sources
+from . import sources
 from .arguments import (
     CommandError,
     add_command,
@@ -25,7 +25,14 @@ from .arguments import (
 )
 from .compute import start_jax
 from .console import print_line, print_table
-from .filtering import add_filter_options, complete
+from .filtering import (
+    FITTED_FILTER,
+    add_filter_options,
+    check_names,
+    complete,
+    describe_filters,
+    find_filter,
+)
 from .sources import add_source_options
 
 LOG = logging.getLogger("jaxblur")
@@ -45,9 +52,7 @@ def add_parser(commands: Any) -> None:
         commands, "fit", "Fit parameters of a filter to frames whose true blur is known.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.more_help = lambda: (
-        f"{FILES_RULE}\n\n{published.describe_filters()}\n\n{describe_presets()}"
-    )
+    parser.more_help = lambda: f"{FILES_RULE}\n\n{describe_filters()}\n\n{describe_presets()}"
     parser.add_argument("frames", type=pathlib.Path, nargs="+", help="sharp frames with vectors")
     parser.add_argument(
         "--truth", nargs="+", required=True, metavar="FILE", help="files or a pattern, see below"
@@ -70,10 +75,10 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--crop", type=crop, metavar="WxH+X+Y", help="use only this part")
     add_compute_options(parser)
     _add_fit_options(parser)
-    add_filter_options(parser, default=published.FITTED_FILTER)
+    add_filter_options(parser, default=FITTED_FILTER)
     add_vector_options(parser)
     add_source_options(parser, of_many="one for each frame, or a pattern, as --truth")
-    # What a fit would learn from pixels that are not known is nothing.
+    # Pixels that are not finite have nothing to fit.
     parser.set_defaults(nonfinite="error")
 
 
@@ -89,8 +94,8 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         "--loss",
         choices=("auto", "expected", "mean"),
         default="auto",
-        help="over the choice of tile: expected error, or error of the mean image "
-        "(default auto: what runs)",
+        help="over the random choice of tile: expected error, or error of the mean image "
+        "(default auto: expected if the filter draws tiles at random)",
     )
     group.add_argument(
         "--pixel",
@@ -98,7 +103,7 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         default="mse",
         help="error of a pixel (default %(default)s)",
     )
-    group.add_argument("--mask", choices=("moving",), help="count only what motion reaches")
+    group.add_argument("--mask", choices=("moving",), help="count only pixels that motion reaches")
     group.add_argument(
         "--fit-noise",
         choices=("fresh", "fixed", "builtin"),
@@ -119,7 +124,7 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=0, metavar="N", help="of all noise (default %(default)s)"
     )
     group.add_argument(
-        "--resume", action="store_true", help="go on from OUT.state.npz, if it is there"
+        "--resume", action="store_true", help="continue from OUT.state.npz, if it exists"
     )
 
 
@@ -129,14 +134,14 @@ def run(arguments: argparse.Namespace) -> int:
     files = match_files(arguments)
     frames = [named["input"] for named in files]
     holdout = held_out(frames, arguments.holdout)
-    published.check_names(name, arguments.free or (), "--free")
+    check_names(find_filter(name), arguments.free or (), "--free")
     _check_output(arguments, [path for named in files for path in named.values()])
     pairs = [_read_pair(arguments, named) for named in files]
     settings = _with_radius(settings, arguments, pairs)
     state = arguments.output.with_suffix(".state.npz")
     _check_state(arguments, state)
 
-    LOG.info("starting; before the first step the filter is compiled and the start is looked for")
+    LOG.info("starting; before the first step the filter is compiled and a good start is searched")
     start_jax(not arguments.no_compile_cache)
     import jax
 
@@ -169,7 +174,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _leave(output: pathlib.Path, state: pathlib.Path, result: Any) -> None:
-    """Write and report what was fitted; of an interrupted fit say how it goes on."""
+    """Write and report the result; for an interrupted fit say how to continue."""
     if result.interrupted:
         raise KeyboardInterrupt(_farewell(result.steps, state))
     result.save(output)
@@ -178,20 +183,20 @@ def _leave(output: pathlib.Path, state: pathlib.Path, result: Any) -> None:
 
 
 def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:
-    """Refuse to start anew over what an interrupted fit left, unless that is asked for."""
+    """Reject a new start over the state of an interrupted fit, unless it is asked for."""
     if state.exists() and not arguments.resume and not arguments.overwrite:
         raise CommandError(
-            f"{state}: is what an interrupted fit left; pass --resume to go on from it, or "
+            f"{state}: is the state of an interrupted fit; pass --resume to continue from it, or "
             "--overwrite to start anew."
         )
 
 
 def _farewell(steps: int, state: pathlib.Path) -> str:
-    """What a user may know after ctrl-C."""
+    """The message after ctrl-C."""
     if steps == 0:
         state.unlink(missing_ok=True)
-        return "interrupted before the first step; there is nothing to go on from"
-    return f"interrupted; stopped after {steps} steps; --resume goes on from {state}"
+        return "interrupted before the first step; there is nothing to continue from"
+    return f"interrupted; stopped after {steps} steps; --resume continues from {state}"
 
 
 def match_files(arguments: argparse.Namespace) -> list[dict[str, pathlib.Path]]:

@@ -6,7 +6,8 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from . import published
+from jaxblur.filters.registry import filter_info
+
 from .arguments import (
     add_command,
     add_vector_options,
@@ -16,6 +17,7 @@ from .arguments import (
     positive_integer,
 )
 from .console import print_line, print_table
+from .filtering import DEFAULT_FILTER
 
 
 def add_parser(commands: Any) -> None:
@@ -28,7 +30,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--radius",
         type=positive_integer,
-        default=published.FILTERS[published.DEFAULT_FILTER].radius,
+        default=filter_info(DEFAULT_FILTER).settings.radius,
         metavar="PX",
         help="count the vectors beyond it (default %(default)s)",
     )

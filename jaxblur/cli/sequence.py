@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import dataclasses
+import hashlib
 import json
 import logging
 import os
@@ -18,6 +19,7 @@ from .arguments import CommandError, frame_numbers, in_option_names, positive_in
 from .compute import start_jax
 from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
+from .filtering import find_filter
 from .progress import about_frame, frame_messages, progress
 
 LOG = logging.getLogger("jaxblur")
@@ -159,7 +161,10 @@ class FrameWork:
         """Blur a frame, or pass it through."""
         with about_frame(job.frame):
             start_jax(not self.arguments.no_compile_cache)
-            chosen = dataclasses.replace(self.asked, name=stages.PASSED_THROUGH, parameters={})
+            if self.arguments.filter:
+                # A worker process has not imported a file that registers the filter.
+                find_filter(self.arguments.filter)
+            chosen = stages.passed_through(self.asked)
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
@@ -375,9 +380,22 @@ def _padding_hint(names: Any) -> str:
 
 
 def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, Any]:
-    """All that determines an output besides its inputs; a new option counts unless named here."""
+    """All that determines an output besides its inputs.
+
+    A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
+    default.
+    """
     given = {key: value for key, value in vars(arguments).items() if key not in NOT_A_CHOICE}
-    return given | dataclasses.asdict(asked) | {"version": jaxblur.__version__}
+    if arguments.filter and ":" in arguments.filter:
+        given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
+    usual = dataclasses.asdict(type(asked.settings)())
+    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
+    chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
+    return given | chosen | {"version": jaxblur.__version__}
+
+
+def _sha256(path: str) -> str:
+    return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
 
 
 def _refuse(plan: Any, names: Any) -> None:

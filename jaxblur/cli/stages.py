@@ -13,7 +13,6 @@ from jaxblur.settings import Settings
 from . import sources
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter
-from .published import GUERTIN_CHOICES
 
 LOG = logging.getLogger("jaxblur")
 
@@ -32,7 +31,7 @@ class Choice:
     """Which filter runs and how.
 
     Attributes:
-        name: a key of `jaxblur.FILTERS`, or `PASSED_THROUGH`.
+        name: of a registered filter, or `PASSED_THROUGH`.
         parameters: of the filter, by name.
         settings: of the filter.
     """
@@ -104,7 +103,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
 
 
 def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choice:
-    """Settle what hangs on the frame: the plan, and the radius.
+    """Make the choices that depend on the frame: the plan, and the radius.
 
     Args:
         arguments: of the command.
@@ -138,8 +137,15 @@ def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choi
     return asked
 
 
+def passed_through(asked: Choice) -> Choice:
+    """The choice for a frame that is not blurred, in a run whose other frames are."""
+    names = [field.name for field in dataclasses.fields(Settings)]
+    settings = Settings(**{name: getattr(asked.settings, name) for name in names})
+    return Choice(PASSED_THROUGH, {}, settings)
+
+
 def blur(chosen: Choice, loaded: Loaded) -> Any:
-    """Run the filter; a frame that is passed through goes through it without motion.
+    """Run the filter; a frame that is passed through is filtered as if nothing moved.
 
     Args:
         chosen: what is to be run.
@@ -221,10 +227,7 @@ def write(
 
 def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
     """Give what must be known to make an output again; names of files, without folders."""
-    settings = dataclasses.asdict(chosen.settings)
-    if chosen.name != "guertin2014":
-        settings = {k: value for k, value in settings.items() if k not in GUERTIN_CHOICES}
-    used = settings | {
+    used = dataclasses.asdict(chosen.settings) | {
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
         "depth": buffers.depth_kind,

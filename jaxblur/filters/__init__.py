@@ -1,32 +1,12 @@
-"""The published filters, all with one signature; `FILTERS` names them.
+"""Filters, all with one signature; `FILTERS` holds them by name, `filter_info` describes each.
 
-filter(frame, parameters, *, settings=Settings(), noise=None) -> (H, W, C)
+    filter(frame, parameters, *, settings, noise=None) -> (H, W, C)
+
+The functions load on first use; the registry and the records of parameters load no jax.
 """
 
-from collections.abc import Callable
-from typing import Any
+import lazy_loader
 
-from ..settings import Settings
-from .guertin2014 import (
-    GuertinParameters as GuertinParameters,
-    guertin2014 as guertin2014,
-    luma_hint as luma_hint,
-)
-from .layered import LayeredParameters as LayeredParameters, layered as layered
-from .mcguire2012 import McGuireParameters as McGuireParameters, mcguire2012 as mcguire2012
-from .pixel_velocity import pixel_velocity as pixel_velocity
+from . import builtin as builtin
 
-FILTERS: dict[str, Callable[..., Any]] = {
-    "guertin2014": guertin2014,
-    "mcguire2012": mcguire2012,
-    "pixel_velocity": pixel_velocity,
-    "layered": layered,
-}
-
-PUBLISHED: dict[str, tuple[Any, Settings]] = {
-    "guertin2014": (GuertinParameters(), Settings()),
-    "mcguire2012": (McGuireParameters(), Settings(samples=15, radius=20)),
-    "pixel_velocity": (None, Settings()),
-    "layered": (LayeredParameters(), Settings(radius=160, fetch="bilinear")),
-}
-"""Parameters and settings of each filter as published."""
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

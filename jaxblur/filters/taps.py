@@ -11,7 +11,7 @@ from ..frame import Frame
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..sampling import tap_position
-from ..settings import Settings
+from ..settings import GuertinSettings, Settings, checked_settings
 from ..tiles import clamp_speed, sample_tiles, tile_variance
 from ..weights import floored_speed
 from .guertin2014 import GuertinParameters, prepare_frame
@@ -44,7 +44,7 @@ def taps_at(
     row: int,
     column: int,
     *,
-    settings: Settings = Settings(),
+    settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> Taps:
     """Passes 1 to 7 of `guertin2014` for one pixel.
@@ -63,6 +63,7 @@ def taps_at(
     Raises:
         ValueError: the pixel lies outside the frame, or shapes disagree.
     """
+    settings = checked_settings(settings, GuertinSettings, "guertin2014")
     height, width = frame.depth.shape
     if not (0 <= row < height and 0 <= column < width):
         raise ValueError(
@@ -78,7 +79,7 @@ def _taps_at(
     parameters: GuertinParameters,
     row: jax.Array,
     column: jax.Array,
-    settings: Settings,
+    settings: GuertinSettings,
     noise: Noise | None,
 ) -> Taps:
     """Compiled once for all pixels of frames of one size."""

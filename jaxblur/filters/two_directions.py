@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..noise import Noise
 from ..safe_math import safe_normalize
-from ..settings import Settings
+from ..settings import GuertinSettings
 from ..tiles import own_tile, reachable_tiles, stochastic_tile
 from ..weights import SPEED_FLOOR
 
@@ -14,7 +14,7 @@ Vector = tuple[Float[Array, "*a"], Float[Array, "*a"]]
 
 
 def tile_choices(
-    shape: tuple[int, int], tau: Float[Array, ""], settings: Settings, noise: Noise
+    shape: tuple[int, int], tau: Float[Array, ""], settings: GuertinSettings, noise: Noise
 ) -> tuple[Int[Array, "choices height width"], Float[Array, "choices height width"]]:
     """The tiles that a pixel may read and their probabilities (pass 4).
 
@@ -74,7 +74,7 @@ def two_directions(
 
 
 def follows_center(
-    index: Int[Array, "*a"], settings: Settings, share: Float[Array, "*b"] | None
+    index: Int[Array, "*a"], settings: GuertinSettings, share: Float[Array, "*b"] | None
 ) -> Bool[Array, "*c"]:
     """Whether a tap follows the center direction: every odd one, or a share of N, interleaved.
 

@@ -1,4 +1,3 @@
-from .constraints import CONSTRAINTS as CONSTRAINTS
 from .descent import Progress as Progress, default_optimizer as default_optimizer
 from .profiles import Profile as Profile, profile as profile
 from .result import FitResult as FitResult, Score as Score, Sensitivity as Sensitivity

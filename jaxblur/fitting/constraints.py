@@ -1,58 +1,85 @@
 """Smooth maps between the parameters of the filters and the real numbers that are optimized.
 
 An optimizer moves each parameter through all real numbers; the map keeps the parameter inside its
-open range, so that no value is clipped and no derivative vanishes at a bound.
+open range, so that no value is clipped and no derivative vanishes at a bound. The ranges are those
+of the registry (`jaxblur.ParameterInfo`):
 
-=============== ============== ============= ====================================================
-parameter       range          map           because
-=============== ============== ============= ====================================================
-kappa           above 0        exponential   divides a weight
-gamma           above 0        exponential   divides a speed
-tau             between 0, 1   sigmoid       reach of the tile jitter; beyond 1 leaves the ring
-eta             above 0        exponential   scale of the tap jitter
-phi             above 0        exponential   scale of the tap jitter
-depth_sharpness above 0        exponential   scale of relative depth
-soft_z_extent   above 0        exponential   a length
-=============== ============== ============= ====================================================
+===================== ========================================= ==============================
+range                 map                                       such as
+===================== ========================================= ==============================
+above a bound         exponential, ``bound + exp(free)``        kappa, a length, a sharpness
+between two bounds    sigmoid                                   tau, a share
+any number            identity
+===================== ========================================= ==============================
 
-Of `layered`, ``bend``, ``jitter`` and ``thin_coverage`` are shares between 0 and 1, the others are
-positive scales.
-
-Under the exponential map a step of h is a relative change of h, and so is a standard error.
+Under the exponential map of a parameter above 0 a step of h is a relative change of h, and so is a
+standard error.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..filters.registry import filter_info
+
 INSET = 0.05
 """Share of an interval at either end where nothing starts: the sigmoid is flat there."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Positive:
-    """All values above 0, ``value = exp(free)``."""
+class Above:
+    """All values above a bound, ``value = low + exp(free)``.
+
+    Attributes:
+        low: the bound, not reached.
+    """
+
+    low: float = 0.0
 
     def value(self, free: jax.Array) -> jax.Array:
         """Map a real number into the range."""
-        return jnp.exp(free)
+        return self.low + jnp.exp(free) if self.low else jnp.exp(free)
 
     def free(self, value: jax.Array) -> jax.Array:
         """Map a value of the range to the real number that gives it."""
-        return jnp.log(value)
+        return jnp.log(value - self.low)
 
     def start(self, value: float) -> float:
-        """Take a value as a start; only 0, an end of the range, cannot be one."""
-        if not 0 < value < float("inf"):
-            raise ValueError(f"must be a number above 0, got {value:g}")
+        """Take a value as a start; the bound itself cannot be one."""
+        if not self.low < value < math.inf:
+            raise ValueError(f"must be a number above {self.low:g}, got {value:g}")
         return value
 
     def at_end(self, value: float) -> bool:
-        """Tell whether a fitted value ran into the end of the range."""
-        return not 1e-4 < value < 1e6
+        """Whether a fitted value ran into the end of the range."""
+        return not 1e-4 < value - self.low < 1e6
+
+
+@dataclasses.dataclass(frozen=True)
+class AnyNumber:
+    """All real numbers, as they are."""
+
+    def value(self, free: jax.Array) -> jax.Array:
+        """The same number."""
+        return free
+
+    def free(self, value: jax.Array) -> jax.Array:
+        """The same number."""
+        return value
+
+    def start(self, value: float) -> float:
+        """Take a value as a start."""
+        if not math.isfinite(value):
+            raise ValueError(f"must be a finite number, got {value:g}")
+        return value
+
+    def at_end(self, value: float) -> bool:
+        """Whether a fitted value ran away."""
+        return not abs(value) < 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,53 +111,33 @@ class Interval:
         return min(max(value, self.low + inset), self.high - inset)
 
     def at_end(self, value: float) -> bool:
-        """Tell whether a fitted value ran into an end of the range."""
+        """Whether a fitted value ran into an end of the range."""
         return not 0.01 < (value - self.low) / (self.high - self.low) < 0.99
 
 
-Constraint = Positive | Interval
-
-CONSTRAINTS: dict[str, dict[str, Constraint]] = {
-    "guertin2014": {
-        "kappa": Positive(),
-        "gamma": Positive(),
-        "tau": Interval(0.0, 1.0),
-        "eta": Positive(),
-        "phi": Positive(),
-        "depth_sharpness": Positive(),
-    },
-    "mcguire2012": {"soft_z_extent": Positive()},
-    "pixel_velocity": {},
-    "layered": {
-        "front_sharpness": Positive(),
-        "landing_tolerance": Positive(),
-        "own_tolerance": Positive(),
-        "surface_sharpness": Positive(),
-        "bend": Interval(0.0, 1.0),
-        "jitter": Interval(0.0, 1.0),
-        "distinct": Positive(),
-        "thin_coverage": Interval(0.0, 1.0),
-    },
-}
-"""Range of every parameter of every filter."""
+Constraint = Above | Interval | AnyNumber
 
 
 def constraints_of(filter_name: str) -> dict[str, Constraint]:
-    """The ranges of a filter's parameters.
+    """The smooth maps of a filter's parameters.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
 
     Returns:
         Constraints by parameter name; empty for a filter without parameters.
 
     Raises:
-        ValueError: no ranges are known for the filter.
+        ValueError: there is no such filter.
     """
-    if filter_name not in CONSTRAINTS:
-        known = ", ".join(CONSTRAINTS)
-        raise ValueError(f"`filter` must be one of {known}, got {filter_name!r}.")
-    return CONSTRAINTS[filter_name]
+    infos = filter_info(filter_name).parameter_infos
+    return {name: _constraint(info.low, info.high) for name, info in infos.items()}
+
+
+def _constraint(low: float, high: float) -> Constraint:
+    if not math.isfinite(low):
+        return AnyNumber()
+    return Interval(low, high) if math.isfinite(high) else Above(low)
 
 
 def to_free(
@@ -139,7 +146,7 @@ def to_free(
     """Map parameters to the vector that is optimized.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         values: parameters by name, strictly inside their ranges.
         names: which of them, and in which order.
 
@@ -156,7 +163,7 @@ def to_values(
     """Map an optimized vector to parameters; smooth, the inverse of `to_free`.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         free: one real number for each name.
         names: of the parameters.
 
@@ -168,10 +175,10 @@ def to_values(
 
 
 def starting_values(filter_name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """Where an optimization can start: the given values, none of them on a bound.
+    """The given values as a start of an optimization, none of them on a bound.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         values: parameters by name.
 
     Returns:

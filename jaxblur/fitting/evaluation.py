@@ -22,7 +22,7 @@ def images(
     """Run the filter on a frame with several draws of noise.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         parameters: of the filter.
         pair: gives the frame.
         settings: of the run, taken as they are.
@@ -54,7 +54,7 @@ def evaluate(
     """Score a filter, averaged over draws of noise.
 
     Args:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         parameters: of the filter.
         pairs: frames with truth.
         settings: of the run, taken as they are: a stochastic choice of tile is drawn.

@@ -1,4 +1,4 @@
-"""What a fit minimizes: pixel errors, and their mean over the random choice of tile.
+"""Losses of a fit: pixel errors, and their mean over the random outcomes of a filter.
 
 ======== ==================================================================================
 pixel    error of a pixel, a = image, b = truth
@@ -11,10 +11,11 @@ ssim     ``1 - SSIM(D(a), D(b))`` of the window around the pixel, see `jaxblur.m
 
 Color channels alone are compared, as `jaxblur.metrics.rgb` picks them.
 
-``loss`` says how the random choice of tile is averaged, exactly in both cases:
+``loss`` says how the random outcomes, such as the choice of tile, are averaged, exactly in both
+cases:
 
-- ``expected``: ``sum_k P_k error(c_k, truth)``, what one stochastic image costs on average.
-- ``mean``: ``error(sum_k P_k c_k, truth)``, what the mean image costs; less by the variance.
+- ``expected``: ``sum_k P_k error(c_k, truth)``, the mean error of one stochastic image.
+- ``mean``: ``error(sum_k P_k c_k, truth)``, the error of the mean image; smaller by the variance.
 """
 
 import typing
@@ -35,7 +36,7 @@ PIXEL_LOSSES: tuple[str, ...] = typing.get_args(Pixel)
 
 
 class Outcomes(NamedTuple):
-    """All images that a random choice of tile can give, as `tile_outcomes` returns them.
+    """All images that a random choice can give, as `jaxblur.FilterInfo.outcomes` returns them.
 
     Attributes:
         colors: (K, H, W, C) linear light.
@@ -73,7 +74,7 @@ def pixel_error(
 def error_map(
     pixel: Pixel, over: Over, outcomes: Outcomes, truth: metrics.Image
 ) -> Float[Array, "height width"]:
-    """Error of every pixel, with the random choice of tile averaged out.
+    """Error of every pixel, averaged over the random outcomes.
 
     Args:
         pixel: one of `PIXEL_LOSSES`; ``ssim`` only with ``mean``, see `check_loss`.
@@ -99,7 +100,7 @@ def inner_pixels(pixel: Pixel, size: tuple[int, int]) -> Bool[np.ndarray, "heigh
         size: (H, W) of the image.
 
     Returns:
-        (H, W) all True, but for ``ssim`` False where the window leaves the image.
+        (H, W) all True, except for ``ssim``: False where the window leaves the image.
 
     Raises:
         ValueError: the image is smaller than the window.
@@ -117,14 +118,14 @@ def inner_pixels(pixel: Pixel, size: tuple[int, int]) -> Bool[np.ndarray, "heigh
 
 
 def check_loss(pixel: str, loss: str) -> None:
-    """Refuse a combination that is not defined.
+    """Reject a combination that is not defined.
 
     Args:
         pixel: name of a pixel loss.
         loss: ``auto``, ``expected`` or ``mean``.
 
     Raises:
-        ValueError: a name is unknown, or the expectation of SSIM is asked for.
+        ValueError: a name is unknown, or the expected SSIM is asked for.
     """
     if pixel not in PIXEL_LOSSES:
         known = ", ".join(PIXEL_LOSSES)
@@ -133,8 +134,8 @@ def check_loss(pixel: str, loss: str) -> None:
         raise ValueError(f"`loss` must be auto, expected or mean, got {loss!r}.")
     if pixel == "ssim" and loss == "expected":
         raise ValueError(
-            "`pixel` ssim compares windows, whose tiles are drawn jointly: their expectation is "
-            "no sum over single pixels; pass `loss` mean, or another `pixel`."
+            "`pixel` ssim compares windows, whose outcomes are drawn jointly: their expectation "
+            "is no sum over single pixels; pass `loss` mean, or another `pixel`."
         )
 
 

@@ -1,8 +1,9 @@
 """The objective of a fit: what is run, what is averaged, and its value and gradient.
 
-The objective is what will run. A filter that draws a random tile is represented by all outcomes
-and their probabilities; the jitter of the taps is drawn from a key and averaged over draws. One
-static record, `Objective`, says all of it, and is echoed in the result.
+The objective is the error of the filter as it will run. A filter that draws one of several
+outcomes at a pixel, such as a tile, is represented by all of them and their probabilities; the
+jitter of the taps is drawn from a key and averaged over draws. One static record, `Objective`,
+holds all choices, and is repeated in the result.
 """
 
 import dataclasses
@@ -15,8 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..filters import FILTERS, PUBLISHED
-from ..filters.guertin2014 import tile_outcomes
+from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
 from ..noise import Noise
 from ..settings import Settings
@@ -25,25 +25,16 @@ from .losses import Outcomes, Over, Pixel, error_map
 
 NoiseMode = Literal["fresh", "fixed", "builtin"]
 
-MOVES_TAPS = {
-    "guertin2014": ("gamma", "eta", "phi"),
-    "layered": ("bend", "jitter", "distinct", "thin_coverage"),
-}
-"""Parameters that move the taps: what is read there must change smoothly."""
-
-CHOOSES_TILES = {"guertin2014": tile_outcomes}
-"""Filters with a choice of tile, and the function that gives all its outcomes."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Objective:
     """What is minimized; hashable, so that equal objectives share one compilation.
 
     Attributes:
-        filter_name: a key of `jaxblur.FILTERS`.
+        filter_name: name of a registered filter.
         free: names of the fitted parameters.
         pixel: error of a pixel, see `jaxblur.fitting.losses`.
-        over: ``expected`` error over the choice of tile, or error of the ``mean`` image.
+        over: ``expected`` error over the random outcomes, or error of their ``mean`` image.
         settings: the filter as it will be run.
         noise: ``fresh`` noise at each step, ``fixed`` draws, or the filter's ``builtin`` noise.
         noise_draws: number of draws that the loss is averaged over.
@@ -58,17 +49,19 @@ class Objective:
     noise_draws: int
 
     @property
+    def filter(self) -> FilterInfo:
+        """The filter."""
+        return filter_info(self.filter_name)
+
+    @property
     def smooth_settings(self) -> Settings:
         """The settings in which the loss is evaluated: those of the run, made differentiable.
 
-        The stochastic choice of tile becomes its exact expectation. Color is read bilinearly if
-        a free parameter moves the taps, because the nearest texel has no derivative in the
-        position of the tap.
+        A random choice becomes its exact expectation. Color is read bilinearly if a free parameter
+        moves the taps, because the nearest texel has no derivative in the position of the tap.
         """
-        settings = self.settings
-        if settings.tile_choice == "stochastic":
-            settings = dataclasses.replace(settings, tile_choice="expected")
-        if set(self.free) & set(MOVES_TAPS.get(self.filter_name, ())):
+        settings = self.filter.smooth_settings(self.settings)
+        if any(self.filter.parameter_infos[name].moves_taps for name in self.free):
             settings = dataclasses.replace(settings, fetch="bilinear")
         return settings
 
@@ -78,13 +71,13 @@ class Objective:
         return self.noise != "builtin" and self.settings.noise != "none"
 
     def describe(self) -> str:
-        """Say in one sentence what is minimized."""
-        tiles = {
-            "expected": "expected over the stochastic choice of tile",
-            "mean": "of the mean image over the choice of tile",
+        """What is minimized, in one sentence."""
+        outcomes = {
+            "expected": "expected over the random outcomes",
+            "mean": "of the mean image over the random outcomes",
         }[self.over]
-        if self.filter_name not in CHOOSES_TILES or self.settings.tile_choice == "own":
-            tiles = "of the image"
+        if self.filter.outcomes is None or not self.settings.has_outcomes:
+            outcomes = "of the image"
         noise = f"{self.noise} noise"
         if self.draws_noise:
             noise = f"{self.noise} noise, {self.noise_draws} a step"
@@ -92,7 +85,7 @@ class Objective:
             noise = "no noise"
         fetch = self.smooth_settings.fetch
         stands = "" if fetch == self.settings.fetch else f" (in place of {self.settings.fetch})"
-        return f"{self.pixel} error {tiles}; {noise}; color read {fetch}{stands}"
+        return f"{self.pixel} error {outcomes}; {noise}; color read {fetch}{stands}"
 
 
 @jax.tree_util.register_dataclass
@@ -153,7 +146,7 @@ def block_losses(
         One share of the loss for each block of ``radius x radius`` pixels of each pair.
     """
     values = dict(fixed) | to_values(objective.filter_name, free, objective.free)
-    parameters = type(PUBLISHED[objective.filter_name][0])(**values)
+    parameters = objective.filter.make_parameters(**values)
 
     def pair_blocks(pair: Batch) -> jax.Array:
         def of_draw(noise_key: jax.Array) -> jax.Array:
@@ -172,10 +165,10 @@ def block_losses(
 
 
 def _outcomes(objective: Objective, frame: Frame, parameters: Any, noise: Noise | None) -> Outcomes:
-    name, settings = objective.filter_name, objective.smooth_settings
-    if name in CHOOSES_TILES:
-        return Outcomes(*CHOOSES_TILES[name](frame, parameters, settings=settings, noise=noise))
-    image = FILTERS[name](frame, parameters, settings=settings, noise=noise)
+    info, settings = objective.filter, objective.smooth_settings
+    if info.call_outcomes is not None:
+        return Outcomes(*info.call_outcomes(frame, parameters, settings=settings, noise=noise))
+    image = info.call(frame, parameters, settings=settings, noise=noise)
     return Outcomes(image[None], jnp.ones((1, *image.shape[:2]), image.dtype))
 
 

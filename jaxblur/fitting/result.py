@@ -1,7 +1,8 @@
 """The result of a fit, as a record and as a TOML file. Loads no jax.
 
-The file holds all that must be known to use, judge and repeat the fit. It has a schema number;
-unknown keys, missing keys and values of another type are errors.
+The file holds everything needed to use, judge and repeat the fit. It has a schema number; unknown
+keys, missing keys and values of another type are errors. A setting that is newer than the file
+takes its default.
 """
 
 import dataclasses
@@ -14,7 +15,8 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..settings import Settings
+from ..filters.registry import filter_info
+from ..settings import GuertinSettings, Settings
 
 SCHEMA = 1
 
@@ -87,18 +89,18 @@ class Data:
 
 @dataclasses.dataclass(frozen=True)
 class FitResult:
-    """What a fit found, how well it holds, and how it was done.
+    """Result of a fit: the parameters, how well they are determined, and how they were found.
 
     Attributes:
-        filter: a key of `jaxblur.FILTERS`.
-        parameters: all parameters of the filter, the fitted ones among them.
+        filter: name of a registered filter.
+        parameters: all parameters of the filter, including the fitted ones.
         initial: where the fit started.
-        published: the published parameters.
+        published: the default parameters of the filter.
         free: names of the fitted parameters.
         minimized: the objective in one sentence.
         objective: its choices: loss, pixel, mask, noise, noise_draws, seed.
-        settings: of the filter run, as in `jaxblur.Settings`.
-        notes: what the caller adds, such as how the frames were read.
+        settings: of the filter run, by name.
+        notes: additions of the caller, such as how the frames were read.
         steps: number of steps done.
         interrupted: ctrl-C ended the fit; it has no scores and no sensitivity.
         history: ``loss`` and the free parameters before each step.
@@ -128,14 +130,12 @@ class FitResult:
     @property
     def filter_parameters(self) -> Any:
         """The parameters as the filter takes them."""
-        from ..filters import PUBLISHED
-
-        return dataclasses.replace(PUBLISHED[self.filter][0], **self.parameters)
+        return filter_info(self.filter).make_parameters(**self.parameters)
 
     @property
-    def filter_settings(self) -> Any:
-        """The settings of the run that was fitted, as a `jaxblur.Settings`."""
-        return Settings(**typing.cast(dict[str, Any], self.settings))
+    def filter_settings(self) -> Settings:
+        """The settings of the run that was fitted, as the filter takes them."""
+        return filter_info(self.filter).kind(**typing.cast(dict[str, Any], self.settings))
 
     def mean_score(self, figure: str, part: str, parameters: str, region: str = "whole") -> float:
         """Mean of one figure over the pairs.
@@ -182,8 +182,9 @@ class FitResult:
             The result.
 
         Raises:
-            ValueError: the file is no TOML, of another schema, or has unknown or missing keys or
-                values of another type; the message names file and key.
+            ValueError: the file is no TOML, of another schema, has unknown or missing keys or
+                values of another type, or its filter is not registered; the message names file
+                and key.
             OSError: the file cannot be read.
         """
         with open(path, "rb") as file:
@@ -199,7 +200,7 @@ class FitResult:
             )
         try:
             result = _decode(FitResult, content, "")
-            _check_settings(result.settings)
+            result = dataclasses.replace(result, settings=_completed(result))
         except ValueError as error:
             # Plain quotes: these are keys of the file, not arguments of a caller.
             raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
@@ -232,14 +233,19 @@ def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
     return lines
 
 
-def _check_settings(settings: Mapping[str, Any]) -> None:
-    """Refuse settings that are unknown, missing, or have no such value."""
-    known = {field.name for field in dataclasses.fields(Settings)}
-    for name in settings.keys() - known:
+def _completed(result: FitResult) -> dict[str, str | int | float]:
+    """The settings of a file, with defaults for those that are newer than the file.
+
+    Version 0.1 wrote the choices of guertin2014 for every filter; the others ignored them.
+    """
+    info = filter_info(result.filter)
+    known = dataclasses.asdict(info.settings)
+    ignored = {field.name for field in dataclasses.fields(GuertinSettings)} - known.keys()
+    settings = {name: v for name, v in result.settings.items() if name not in ignored}
+    for name in settings.keys() - known.keys():
         raise ValueError(f"unknown key `settings.{name}`; remove it.")
-    for name in known - settings.keys():
-        raise ValueError(f"missing key `settings.{name}`; fit again.")
-    Settings(**typing.cast(dict[str, Any], settings))
+    info.kind(**typing.cast(dict[str, Any], known | settings))
+    return known | settings
 
 
 def _is_table(value: Any) -> bool:

@@ -4,7 +4,7 @@ import dataclasses
 import os
 import platform
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +15,10 @@ import optax
 
 import jaxblur
 
-from ..batch import filter_name
-from ..filters import PUBLISHED
+from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
-from ..settings import Settings
-from .constraints import constraints_of, starting_values, to_free, to_values
+from ..settings import Settings, checked_settings
+from .constraints import starting_values, to_free, to_values
 from .descent import (
     Progress,
     State,
@@ -31,13 +30,12 @@ from .descent import (
 )
 from .evaluation import evaluate
 from .losses import Over, Pixel, check_loss
-from .objective import CHOOSES_TILES, NoiseMode, Objective
+from .objective import NoiseMode, Objective
 from .optimization import optimize
 from .pairs import Pair, make_batches, make_pairs, pixel_weights
 from .result import Data, FitResult, Score
 from .sensitivity import sensitivity
 
-DEFAULT_FREE = {"guertin2014": ("kappa", "gamma", "tau", "phi")}
 EVALUATION_DRAWS = 2
 
 # Independent streams of noise: the fit, its evaluation, its sensitivity.
@@ -69,25 +67,28 @@ def fit(
     """Fit parameters of a filter to frames whose true blur is known.
 
     Minimizes the mean error over the training pairs, each counting the same, by gradient descent
-    in unconstrained parameters (`jaxblur.fitting.constraints`; tau starts at least 0.05 inside
-    its bounds), with coarse scans against bad starts (`jaxblur.fitting.optimization`). The
-    objective is what will run: see ``loss`` and ``noise``. Color is read bilinearly during the
-    fit if gamma, eta or phi are free, since the nearest texel has no derivative in the position
-    of a tap; scores are taken in ``settings`` as they are. Velocity and depth are always read at
-    the nearest texel, so that the gradient knows nothing of taps that cross a silhouette:
-    `jaxblur.fitting.profile` shows whether that matters for the frames at hand.
+    in unconstrained parameters (`jaxblur.fitting.constraints`; a parameter between two bounds
+    starts at least 5 % of the range inside them), with coarse scans against bad starts
+    (`jaxblur.fitting.optimization`). The objective is the error of the filter as it will run: see
+    ``loss`` and ``noise``. Color is read bilinearly during the fit if a free parameter moves the
+    taps (of guertin2014 gamma, eta and phi), since the nearest texel has no derivative in the
+    position of a tap; scores are computed with ``settings`` unchanged. Velocity and depth are
+    always read at the nearest texel, so that the gradient does not include taps that cross a
+    silhouette: `jaxblur.fitting.profile` shows whether that matters for the frames at hand.
 
     Args:
-        filter: a key of `jaxblur.FILTERS`, or one of its functions.
+        filter: the name of a registered filter, or its function.
         pairs: frames with their truth, (H, W, C) linear light.
-        initial: parameters of the filter to start from, or by name; the published ones if None.
-        free: parameters to fit; for guertin2014 kappa, gamma, tau and phi, else all, if None.
-        loss: ``expected`` error over the stochastic choice of tile, exact; error of the ``mean``
-            image; ``auto`` takes what runs: ``expected`` for the stochastic choice, else ``mean``.
+        initial: parameters of the filter to start from, as its record or by name; those left out
+            start from their defaults.
+        free: parameters to fit; if None those that the filter frees by default: of guertin2014
+            kappa, gamma, tau and phi, of the others all.
+        loss: ``expected`` error over the random outcomes, exact; error of their ``mean`` image;
+            ``auto``: ``expected`` if the settings draw outcomes at random, else ``mean``.
         pixel: ``mse``, ``relative``, ``display`` or ``ssim``, see `jaxblur.fitting.losses`.
         mask: pixels that count: None for all, ``moving`` for those that motion reaches, or one
             (H, W) array of booleans for each training pair.
-        settings: of the filter run; the published ones if None.
+        settings: of the filter run; its defaults if None.
         noise: ``fresh`` draws at each step, the same ``fixed`` draws, or the ``builtin`` pattern
             of the settings.
         noise_draws: draws that each loss is averaged over.
@@ -97,24 +98,26 @@ def fit(
         key: seed of all noise; ``jax.random.key(0)`` if None. Evaluation uses another stream.
         names: of the pairs, for the report.
         notes: what to keep in the result, such as how the frames were read.
-        callback: told after each step.
+        callback: called after each step.
         state: ``.npz`` file that the state is saved to twice a minute and when interrupted.
-        resume: go on from ``state`` if the file is there; the outcome is that of an
-            uninterrupted fit, to the bit.
+        resume: continue from ``state`` if the file exists; the result equals that of an
+            uninterrupted fit, bit for bit.
 
     Returns:
         The result. If ctrl-C ends the fit it is marked so, and has no scores.
 
     Raises:
-        ValueError: an argument is wrong or does not fit the others, or frames hold bad values.
+        ValueError: an argument is wrong or contradicts another one, or frames hold bad values.
         FloatingPointError: the loss became infinite or NaN.
     """
-    name = filter_name(filter)
-    start, published = _start(name, initial), _fields(PUBLISHED[name][0])
+    info = filter_info(filter)
+    name, start = info.name, _start(info, initial)
     _check_counts(steps=steps, noise_draws=noise_draws)
-    objective = _objective(name, free, loss, pixel, settings, noise, noise_draws)
+    objective = _objective(info, free, loss, pixel, settings, noise, noise_draws)
     free = objective.free
-    start |= _checked_start(name, {k: start[k] for k in free}, objective.settings)
+    start |= starting_values(name, {k: start[k] for k in free})
+    if info.check_fit is not None:
+        info.check_fit(free, objective.settings, start)
     training, held_out = _split(make_pairs(pairs, names), holdout)
     key = jax.random.key(0) if key is None else key
     fixed = {k: v for k, v in start.items() if k not in free}
@@ -125,13 +128,13 @@ def fit(
     fitted = task.parameters(final.free)
     judged: dict[str, Any] = {"scores": (), "sensitivity": None}
     if not interrupted:
-        compared = {"published": published, "fitted": fitted}
+        compared = {"published": info.defaults, "fitted": fitted}
         judged = _judged(task, final, compared, (training, held_out), key)
     return FitResult(
         filter=name,
         parameters=fitted,
         initial=start,
-        published=published,
+        published=info.defaults,
         free=free,
         minimized=objective.describe(),
         objective=_choices(objective, mask, key),
@@ -147,7 +150,7 @@ def fit(
 
 
 def _objective(
-    name: str,
+    info: FilterInfo,
     free: Sequence[str] | None,
     loss: Literal["auto"] | Over,
     pixel: Pixel,
@@ -155,16 +158,20 @@ def _objective(
     noise: NoiseMode,
     noise_draws: int,
 ) -> Objective:
-    """What is minimized: the choices of the caller, held against each other, or the usual ones."""
-    settings = PUBLISHED[name][1] if settings is None else settings
-    free = tuple(DEFAULT_FREE.get(name, constraints_of(name)) if free is None else free)
-    over = _resolved(loss, settings)
-    _check_free(name, free, settings)
+    """What is minimized: the choices of the caller, checked against each other, or the defaults."""
+    settings = info.settings if settings is None else settings
+    settings = checked_settings(settings, info.kind, info.name)
+    if info.check is not None:
+        info.check(settings)
+    by_default = [name for name, known in info.parameter_infos.items() if known.free]
+    free = tuple(by_default if free is None else free)
+    over = _resolved(loss, info, settings)
+    _check_free(info, free)
     check_loss(pixel, over)
     if noise not in typing.get_args(NoiseMode):
         raise ValueError(f"`noise` must be fresh, fixed or builtin, got {noise!r}.")
     return Objective(
-        filter_name=name,
+        filter_name=info.name,
         free=free,
         pixel=pixel,
         over=over,
@@ -181,7 +188,7 @@ def _judged(
     parts: tuple[Sequence[Pair], Sequence[Pair]],
     key: jax.Array,
 ) -> dict[str, Any]:
-    """Scores under noise that the fit has not seen, and how well the data determine the values."""
+    """Scores under noise that the fit has not used, and how well the data determine the values."""
     objective, unseen = task.objective, jax.random.fold_in(key, EVALUATION)
     return {
         "scores": _scores(objective.filter_name, compared, parts, objective.settings, unseen),
@@ -190,7 +197,7 @@ def _judged(
 
 
 def _choices(objective: Objective, mask: Any, key: jax.Array) -> dict[str, str | int]:
-    """What was chosen about the loss, for the report."""
+    """The choices about the loss, for the report."""
     names = {"over": "loss", "pixel": "pixel", "noise": "noise", "noise_draws": "noise_draws"}
     return {label: getattr(objective, name) for name, label in names.items()} | {
         "mask": mask if isinstance(mask, str) else "none" if mask is None else "arrays",
@@ -198,64 +205,33 @@ def _choices(objective: Objective, mask: Any, key: jax.Array) -> dict[str, str |
     }
 
 
-def _fields(record: Any) -> dict[str, float]:
-    return {} if record is None else {k: float(v) for k, v in vars(record).items()}
+def _start(info: FilterInfo, initial: Any) -> dict[str, float]:
+    given = initial if isinstance(initial, Mapping) else {} if initial is None else vars(initial)
+    _check_names("initial", info, given)
+    return info.defaults | {name: float(value) for name, value in given.items()}
 
 
-def _start(name: str, initial: Any) -> dict[str, float]:
-    published = _fields(PUBLISHED[name][0])
-    given = initial if isinstance(initial, Mapping) else _fields(initial)
-    _check_names("initial", name, given)
-    return published | {k: float(v) for k, v in given.items()}
-
-
-def _check_names(argument: str, name: str, given: Sequence[str] | Mapping[str, Any]) -> None:
-    known = constraints_of(name)
+def _check_names(argument: str, info: FilterInfo, given: Iterable[str]) -> None:
+    known = info.parameter_infos
     unknown = [entry for entry in given if entry not in known]
     if unknown:
         listing = f"it has {', '.join(known)}" if known else "it has none"
-        raise ValueError(f"`{argument}`: {name} has no parameter {unknown[0]!r}; {listing}.")
+        raise ValueError(f"`{argument}`: {info.name} has no parameter {unknown[0]!r}; {listing}.")
 
 
-def _resolved(loss: str, settings: Settings) -> Any:
+def _resolved(loss: Any, info: FilterInfo, settings: Settings) -> Any:
+    """The loss that ``auto`` stands for: settings with a random choice have a smooth form."""
     if loss == "auto":
-        return "expected" if settings.tile_choice == "stochastic" else "mean"
+        return "mean" if info.smooth_settings(settings) == settings else "expected"
     return loss
 
 
-def _check_free(name: str, free: Sequence[str], settings: Settings) -> None:
-    _check_names("free", name, free)
+def _check_free(info: FilterInfo, free: Sequence[str]) -> None:
+    _check_names("free", info, free)
     if not free:
-        raise ValueError(f"`free` must name at least one parameter of {name}.")
+        raise ValueError(f"`free` must name at least one parameter of {info.name}.")
     if len(set(free)) != len(free):
         raise ValueError(f"`free` must name each parameter once, got {', '.join(free)}.")
-    if {"eta", "phi"} <= set(free):
-        raise ValueError(
-            "`free` must not hold both eta and phi: only their product enters the filter, so that "
-            "no frame can tell them apart; fit phi and leave eta as it is."
-        )
-    if "tau" in free and settings.tile_choice == "own":
-        raise ValueError(
-            "`free` must not hold tau with `tile_choice='own'`, which never leaves the tile: pass "
-            "settings with 'stochastic' or 'expected', or leave tau out."
-        )
-    jitter = {"eta", "phi"} & set(free)
-    if jitter and settings.noise == "none":
-        raise ValueError(
-            f"`free` must not hold {jitter.pop()} with `noise='none'`: it scales the noise; pass "
-            "settings with 'ign' or 'halton', or leave it out."
-        )
-
-
-def _checked_start(name: str, values: dict[str, float], settings: Settings) -> dict[str, float]:
-    starts = starting_values(name, values)
-    shortest = 1 / settings.radius
-    if name in CHOOSES_TILES and starts.get("tau", 1.0) <= shortest:
-        raise ValueError(
-            f"`initial.tau` must be above 1/radius = {shortest:.3g} to be fitted, got "
-            f"{starts['tau']:g}: below it no pixel reaches another tile, and the loss is flat."
-        )
-    return starts
 
 
 def _check_counts(**counts: int) -> None:
@@ -298,7 +274,7 @@ def _descend(
     mark = fingerprint(task, hashes, start, steps)
     if resume:
         if path is None:
-            raise ValueError("`resume` needs `state`, the file to go on from.")
+            raise ValueError("`resume` needs `state`, the file to continue from.")
         if Path(path).exists():
             state = load_state(path, state, mark)
 
@@ -327,7 +303,7 @@ def _scores(
 ) -> tuple[Score, ...]:
     scores: list[Score] = []
     for label, parameters in compared.items():
-        record = type(PUBLISHED[name][0])(**parameters)
+        record = filter_info(name).make_parameters(**parameters)
         for part, pairs in zip(("train", "held-out"), parts, strict=True):
             labels = part, label
             scores += evaluate(name, record, pairs, settings, key, EVALUATION_DRAWS, labels)

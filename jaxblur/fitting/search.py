@@ -3,13 +3,13 @@
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import jax
 import numpy as np
 
-from ..filters import FILTERS, PUBLISHED
+from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
 from ..settings import Settings
 from ..vectors import speed_statistics
@@ -38,12 +38,12 @@ class Candidate:
 
 @dataclasses.dataclass(frozen=True)
 class SettingsSearch:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
-        candidates: all that were tried, the quickest first.
+        candidates: all that were tried, the fastest first.
         choice: the settings chosen.
-        reason: why, in words.
+        reason: why it was chosen, in words.
     """
 
     candidates: tuple[Candidate, ...]
@@ -52,7 +52,7 @@ class SettingsSearch:
 
 
 def search_settings(
-    filter: str,
+    filter: str | Callable[..., Any],
     pairs: Sequence[tuple[Frame, Any]],
     parameters: Any = None,
     *,
@@ -67,17 +67,17 @@ def search_settings(
 ) -> SettingsSearch:
     """Measure error and time over a grid of settings, and choose.
 
-    With a budget the choice is the least error among those quick enough; with a tolerance it is
-    the quickest whose error exceeds the least one by no more than that share. Times are those of
-    this machine as loaded as it is now.
+    With a budget the choice is the setting of least error within it; with a tolerance it is the
+    fastest setting whose error exceeds the least one by no more than that share. Times are
+    measured on this machine, under its present load.
 
     Args:
-        filter: a key of `jaxblur.FILTERS`.
+        filter: the name of a registered filter, or its function.
         pairs: frames with truth (H, W, C).
-        parameters: of the filter; the published ones if None.
+        parameters: of the filter; its defaults if None.
         samples: numbers to try.
         radius: radii to try; ``auto`` is the largest speed of all frames, rounded up.
-        settings: the other settings; the published ones if None.
+        settings: the other settings; the defaults of the filter if None.
         budget_ms: time for a frame in milliseconds.
         tolerance: share by which the error may exceed the least one, such as 0.05.
         key: seed of the noise.
@@ -93,19 +93,17 @@ def search_settings(
     """
     if (budget_ms is None) == (tolerance is None):
         raise ValueError("give either `budget_ms` or `tolerance`.")
-    if filter not in FILTERS:
-        raise ValueError(f"`filter` must be one of {', '.join(FILTERS)}, got {filter!r}.")
-    record, published = PUBLISHED[filter]
-    parameters = record if parameters is None else parameters
-    base = published if settings is None else settings
+    info = filter_info(filter)
+    parameters = info.make_parameters() if parameters is None else parameters
+    base = info.settings if settings is None else settings
     key = jax.random.key(0) if key is None else key
     checked = make_pairs(pairs, None)
     radii = [_automatic(checked) if r == "auto" else r for r in radius]
     tried = {}
     for count, reach in sorted({(n, r) for n in samples for r in radii}):
         chosen = dataclasses.replace(base, samples=count, radius=reach)
-        error = display_error(filter, parameters, checked, chosen, key, noise_draws)
-        took = _milliseconds(filter, parameters, checked, chosen, repeats)
+        error = display_error(info.name, parameters, checked, chosen, key, noise_draws)
+        took = _milliseconds(info, parameters, checked, chosen, repeats)
         psnr = -10 * math.log10(error) if error > 0 else math.inf
         tried[chosen] = Candidate(count, reach, error, psnr, took)
     choice, reason = _choose(tried, budget_ms, tolerance)
@@ -119,9 +117,9 @@ def _automatic(pairs: Sequence[Pair]) -> int:
 
 
 def _milliseconds(
-    filter_name: str, parameters: Any, pairs: Sequence[Pair], settings: Settings, repeats: int
+    info: FilterInfo, parameters: Any, pairs: Sequence[Pair], settings: Settings, repeats: int
 ) -> float:
-    blur = FILTERS[filter_name]
+    blur = info.call
     medians = []
     for pair in pairs:
         blur(pair.frame, parameters, settings=settings).block_until_ready()
@@ -140,10 +138,10 @@ def _choose(
     if budget_ms is not None:
         allowed = {s: c for s, c in tried.items() if c.milliseconds <= budget_ms}
         if not allowed:
-            quickest = min(candidate.milliseconds for candidate in tried.values())
+            fastest = min(candidate.milliseconds for candidate in tried.values())
             raise ValueError(
                 f"`budget_ms` must allow at least one of the settings, got {budget_ms:g}; the "
-                f"quickest takes {quickest:.3g} ms: try fewer `samples`."
+                f"fastest takes {fastest:.3g} ms: try fewer `samples`."
             )
         choice = min(allowed, key=lambda s: (allowed[s].error, allowed[s].milliseconds))
         return choice, f"least error of those within {budget_ms:g} ms"
@@ -151,4 +149,4 @@ def _choose(
     limit = (1 + tolerance) * min(candidate.error for candidate in tried.values())
     allowed = {s: c for s, c in tried.items() if c.error <= limit}
     choice = min(allowed, key=lambda s: (allowed[s].milliseconds, allowed[s].error))
-    return choice, f"quickest of those within {100 * tolerance:g} % of the least error"
+    return choice, f"fastest of those within {100 * tolerance:g} % of the least error"

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..filters import FILTERS, PUBLISHED, GuertinParameters
+from ..filters.registry import FilterInfo, filter_info
 from ..filters.taps import taps_at
 from ..frame import Frame
 from ..noise import Noise
-from ..settings import Settings
+from ..settings import GuertinSettings, Settings, checked_settings
 from ..tiles import clamp_speed, dominant_velocity, tile_max
 from .buffers import display, draw_streaks, fastest
 from .colors import velocity_colors
@@ -40,9 +40,9 @@ def tile_velocities(
 
     Args:
         frame: one frame.
-        settings: radius, and the rule for diagonal tiles.
+        settings: radius, and which diagonal tiles count.
         stage: ``tile`` for the fastest vector of the tile itself, ``neighbor`` for the dominant
-            one of its 3 x 3 neighborhood.
+            one of its 3 x 3 ring.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels, clamped to the radius.
@@ -52,6 +52,7 @@ def tile_velocities(
     """
     if stage not in ("tile", "neighbor"):
         raise ValueError(f"`stage` must be 'tile' or 'neighbor', got {stage!r}.")
+    settings = checked_settings(settings, GuertinSettings)
     velocity, speed = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
     if stage == "tile":
         return np.asarray(tile_max(velocity, settings.radius))
@@ -60,7 +61,7 @@ def tile_velocities(
 
 def tile_overlay(
     frame: Frame,
-    settings: Settings = Settings(),
+    settings: Settings = GuertinSettings(),
     *,
     stage: Literal["tile", "neighbor"] = "neighbor",
     axes: "Axes | None" = None,
@@ -69,7 +70,7 @@ def tile_overlay(
 
     Args:
         frame: one frame.
-        settings: radius, and the rule for diagonal tiles.
+        settings: radius, and which diagonal tiles count.
         stage: see `tile_velocities`.
         axes: where to draw.
 
@@ -93,7 +94,7 @@ def tile_overlay(
     for border in range(0, height + 1, radius):
         axes.axhline(border - 0.5, color="white", linewidth=0.6)
     rows, columns = np.mgrid[: tiles.shape[0], : tiles.shape[1]]
-    # A ragged tile at the border is as small as the rest of the picture.
+    # A tile at the border ends where the picture ends.
     x, y = (
         (start * radius + np.minimum((start + 1) * radius, size)) / 2 - 0.5
         for start, size in ((columns, width), (rows, height))
@@ -116,42 +117,45 @@ def texel_weights(
 ) -> Float[np.ndarray, "height width"]:
     """Compute the contribution of each texel of the frame to one pixel of the result.
 
-    A filter's output is linear in color, with weights that do not depend on color. So the weights
-    are the derivative of the pixel with respect to color, and no filter needs to report them.
+    The result of a filter whose weights do not depend on color is linear in color, so the weights
+    are the derivative of the pixel with respect to color.
 
     Args:
-        name: a key of `jaxblur.FILTERS`.
+        name: name of a registered filter.
         frame: one frame; its color is not read.
         row: row of the pixel.
         column: column of the pixel.
-        parameters: parameters of the filter; the published ones if None.
-        settings: settings of the filter; the published ones if None.
+        parameters: parameters of the filter; its defaults if None.
+        settings: settings of the filter; its defaults if None.
         noise: noise of the filter.
 
     Returns:
         (H, W) weights that sum to 1; they are at least 0 for nearest fetch.
 
     Raises:
-        ValueError: the filter is unknown, or the pixel lies outside the frame.
+        ValueError: the filter is unknown, its weights depend on color, or the pixel lies outside
+            the frame.
     """
-    if name not in FILTERS:
-        raise ValueError(f"`name` must be one of {', '.join(FILTERS)}, got {name!r}.")
+    info = filter_info(name)
+    if info.reads_color:
+        raise ValueError(
+            f"`name` must be a filter whose weights do not depend on color, got {name!r}: its "
+            "result is not a weighted sum of the frame's colors."
+        )
     height, width = frame.depth.shape
     if not (0 <= row < height and 0 <= column < width):
         raise ValueError(
             f"`row`, `column` must lie in a frame of {height} rows and {width} columns, got "
             f"{row}, {column}."
         )
-    published, usual = PUBLISHED[name]
-    parameters = published if parameters is None else parameters
-    settings = usual if settings is None else settings
-
-    return np.asarray(_texel_weights(name, frame, row, column, parameters, settings, noise))
+    parameters = info.make_parameters() if parameters is None else parameters
+    settings = info.settings if settings is None else settings
+    return np.asarray(_texel_weights(info, frame, row, column, parameters, settings, noise))
 
 
-@functools.partial(jax.jit, static_argnames=("name", "settings"))
+@functools.partial(jax.jit, static_argnames=("info", "settings"))
 def _texel_weights(
-    name: str,
+    info: FilterInfo,
     frame: Frame,
     row: jax.Array,
     column: jax.Array,
@@ -163,7 +167,7 @@ def _texel_weights(
 
     def pixel(plane: jax.Array) -> jax.Array:
         single = dataclasses.replace(frame, color=plane[..., None])
-        return FILTERS[name](single, parameters, settings=settings, noise=noise)[row, column, 0]
+        return info.call(single, parameters, settings=settings, noise=noise)[row, column, 0]
 
     return jax.grad(pixel)(jnp.ones(frame.depth.shape))
 
@@ -183,16 +187,16 @@ def tap_diagram(
 
     The area of a dot is the weight of its texel, from `texel_weights`; the ring marks the pixel
     itself. For guertin2014, crosses mark the taps along the dominant direction and along the center
-    direction, and lines show the reach of both; taps without a dot have no weight. With the
-    expected tile choice every tile that may be read is drawn, fainter the less likely it is.
+    direction, and the lines are as long as their reach; taps without a dot have no weight. With the
+    expected tile choice every tile that may be read is drawn, less likely ones fainter.
 
     Args:
         frame: one frame.
         row: row of the pixel.
         column: column of the pixel.
-        name: a key of `jaxblur.FILTERS`.
-        parameters: parameters of the filter; the published ones if None.
-        settings: settings of the filter; the published ones if None.
+        name: name of a registered filter.
+        parameters: parameters of the filter; its defaults if None.
+        settings: settings of the filter; its defaults if None.
         noise: noise of the filter.
         axes: where to draw.
 
@@ -200,7 +204,8 @@ def tap_diagram(
         The figure.
 
     Raises:
-        ValueError: the filter is unknown, or the pixel lies outside the frame.
+        ValueError: the filter is unknown, its weights depend on color, or the pixel lies outside
+            the frame.
     """
     options = {"parameters": parameters, "settings": settings, "noise": noise}
     weights = texel_weights(name, frame, row, column, **options)
@@ -221,10 +226,10 @@ def tap_diagram(
 
 def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str, Any]) -> None:
     """Draw the two lines of guertin2014 with their taps, and the pixel's own velocity."""
-    parameters, settings = (
-        GuertinParameters() if options["parameters"] is None else options["parameters"],
-        Settings() if options["settings"] is None else options["settings"],
-    )
+    info = filter_info("guertin2014")
+    parameters, settings = options["parameters"], options["settings"]
+    parameters = info.make_parameters() if parameters is None else parameters
+    settings = info.settings if settings is None else settings
     taps: Any = taps_at(frame, parameters, row, column, settings=settings, noise=options["noise"])
     taps = jax.tree.map(np.asarray, taps)
     middle = np.array([column, row])
@@ -247,7 +252,7 @@ def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str
 
 
 def _show_around(axes: Any, frame: Frame, columns: Any, rows: Any) -> None:
-    """Zoom to the texels with weight and to the lines drawn, inside the frame."""
+    """Zoom to the texels with a weight and to the lines drawn, inside the frame."""
     height, width = frame.depth.shape
     for line in axes.lines:
         columns, rows = np.append(columns, line.get_xdata()), np.append(rows, line.get_ydata())

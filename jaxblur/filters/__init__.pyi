@@ -1,0 +1,19 @@
+from .guertin2014 import (
+    GuertinParameters as GuertinParameters,
+    guertin2014 as guertin2014,
+    luma_hint as luma_hint,
+)
+from .layered import LayeredParameters as LayeredParameters, layered as layered
+from .mcguire2012 import McGuireParameters as McGuireParameters, mcguire2012 as mcguire2012
+from .parameters import ParameterInfo as ParameterInfo, parameter as parameter
+from .pixel_velocity import pixel_velocity as pixel_velocity
+from .registry import (
+    FILTERS as FILTERS,
+    Filter as Filter,
+    FilterInfo as FilterInfo,
+    filter_info as filter_info,
+    load_filter as load_filter,
+    names as names,
+    register as register,
+    unregister as unregister,
+)

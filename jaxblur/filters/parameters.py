@@ -1,0 +1,265 @@
+"""Parameters of the filters: their records, and what the rest of the package must know of each.
+
+Loads no jax, so that the command line can list and check parameters at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import jax
+
+_KEY = "jaxblur"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ParameterInfo:
+    """What the rest of the package must know of one parameter.
+
+    Attributes:
+        default: its usual value: the published one, where the filter was published.
+        low: lower end of the range; ``-inf`` together with a ``high`` of ``inf`` for any number.
+        high: upper end of the range, allowed if it is finite.
+        includes_low: whether ``low`` itself is allowed. Fits stay above it in either case.
+        meaning: a few words for the help.
+        unit: of the value; empty for a plain number.
+        moves_taps: whether it moves the places that color is read at. A fit of such a parameter
+            reads color bilinearly: the nearest texel has no derivative in the place.
+        free: whether `jaxblur.fit` fits it unless told otherwise.
+    """
+
+    default: float
+    low: float
+    high: float
+    includes_low: bool
+    meaning: str
+    unit: str = ""
+    moves_taps: bool = False
+    free: bool = True
+
+    def __post_init__(self):
+        if not self.low < self.high or (self.low == -math.inf and self.high < math.inf):
+            raise ValueError(
+                f"`low` must be a number below `high`, got {self.low:g} and {self.high:g}; for "
+                "any number leave out both."
+            )
+        if not self.allows(self.default):
+            raise ValueError(f"`default` must be {self.range}, got {self.default:g}.")
+
+    @property
+    def range(self) -> str:
+        """The values that are allowed, in words: ``above 0 px``."""
+        unit = f" {self.unit}" if self.unit else ""
+        if math.isfinite(self.high):
+            return f"{self.low:g} to {self.high:g}{unit}"
+        if not math.isfinite(self.low):
+            return f"any number{unit and f', in{unit}'}"
+        return f"{self.low:g}{unit} or more" if self.includes_low else f"above {self.low:g}{unit}"
+
+    def allows(self, value: float) -> bool:
+        """Whether a value is in range; NaN and infinity are not."""
+        above = value >= self.low if self.includes_low else value > self.low
+        return math.isfinite(value) and above and value <= self.high
+
+
+def parameter(
+    default: float,
+    *,
+    above: float | None = None,
+    low: float | None = None,
+    high: float = math.inf,
+    meaning: str,
+    unit: str = "",
+    moves_taps: bool = False,
+    free: bool = True,
+) -> Any:
+    """A field of a filter's parameters, with what the rest of the package must know of it.
+
+    The value of a field is a float, an array without axes, or a tracer.
+
+    Args:
+        default: its usual value.
+        above: lower end of the range, not allowed itself.
+        low: lower end of the range, allowed itself; give one of the two, or neither for any number.
+        high: upper end of the range, allowed itself.
+        meaning: a few words for the help.
+        unit: of the value; empty for a plain number.
+        moves_taps: see `ParameterInfo`.
+        free: whether `jaxblur.fit` fits it unless told otherwise.
+
+    Returns:
+        A `dataclasses.field`.
+
+    Raises:
+        ValueError: the range is empty or ambiguous, or does not hold the default.
+
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class Parameters:
+    ...     strength: float = parameter(1.0, above=0.0, meaning="strength of the blur")
+    >>> infos_of(Parameters)["strength"].range
+    'above 0'
+    """
+    if above is not None and low is not None:
+        raise ValueError("`above` and `low` must not both be given; leave out one of the two.")
+    lowest = above if low is None else low
+    info = ParameterInfo(
+        default=default,
+        low=-math.inf if lowest is None else lowest,
+        high=high,
+        includes_low=above is None,
+        meaning=meaning,
+        unit=unit,
+        moves_taps=moves_taps,
+        free=free,
+    )
+    return dataclasses.field(default=default, metadata={_KEY: info})
+
+
+def infos_of(parameters: type | None) -> dict[str, ParameterInfo]:
+    """What is known of each field of a filter's parameters.
+
+    Args:
+        parameters: a dataclass whose fields were made by `parameter`, or None.
+
+    Returns:
+        By name, in the order of the fields; empty for None.
+
+    Raises:
+        ValueError: it is no dataclass, or a field was not made by `parameter`.
+    """
+    if parameters is None:
+        return {}
+    if not (isinstance(parameters, type) and dataclasses.is_dataclass(parameters)):
+        raise ValueError(f"`parameters` must be a dataclass or None, got {parameters!r}.")
+    infos = {}
+    for field in dataclasses.fields(parameters):
+        if _KEY not in field.metadata:
+            raise ValueError(
+                f"`{parameters.__name__}.{field.name}` must have a default made by "
+                "`jaxblur.parameter`, which gives its range and meaning."
+            )
+        infos[field.name] = field.metadata[_KEY]
+    return infos
+
+
+@dataclasses.dataclass(frozen=True)
+class GuertinParameters:
+    """Parameters of Guertin 2014; floats, arrays or tracers. Defaults are the published ones.
+
+    Attributes:
+        kappa: divides the weight of the pixel's own color, > 0.
+        gamma: speed in pixels over which the second direction turns from the perpendicular of
+            the dominant velocity to the pixel's own velocity, > 0.
+        tau: reach of the tile jitter in tiles, in [0, 1]; differentiable with
+            ``tile_choice="expected"`` only.
+        eta: largest jitter of the taps, in spacings at N = phi. Only eta * phi matters.
+        phi: number of samples that eta refers to: the jitter shrinks as phi / N.
+        depth_sharpness: k of departure 1; 1 as published separates depths that differ by a factor
+            of two, 10 to 20 separates 5 to 10 percent.
+    """
+
+    kappa: float | jax.Array = parameter(
+        40.0, above=0.0, meaning="divides the weight of the pixel's own color"
+    )
+    gamma: float | jax.Array = parameter(
+        1.5,
+        above=0.0,
+        meaning="speed over which the second direction turns",
+        unit="px",
+        moves_taps=True,
+    )
+    tau: float | jax.Array = parameter(
+        1.0, low=0.0, high=1.0, meaning="reach of the tile jitter", unit="tiles"
+    )
+    eta: float | jax.Array = parameter(
+        0.95,
+        low=0.0,
+        meaning="largest jitter of the samples",
+        unit="spacings",
+        moves_taps=True,
+        free=False,
+    )
+    phi: float | jax.Array = parameter(
+        27.0, low=0.0, meaning="number of samples that eta refers to", moves_taps=True
+    )
+    depth_sharpness: float | jax.Array = parameter(
+        1.0, above=0.0, meaning="how strictly depths are separated", free=False
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class McGuireParameters:
+    """Parameters of McGuire 2012; floats, arrays or tracers.
+
+    Attributes:
+        soft_z_extent: depth over which foreground fades into background, in scene units, > 0.
+    """
+
+    soft_z_extent: float | jax.Array = parameter(
+        0.1, above=0.0, meaning="depth over which foreground fades into background", unit="units"
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class LayeredParameters:
+    """Parameters of the layered filter; floats, arrays or tracers.
+
+    Defaults of the first three are fitted to scenes of the catalogue, which do not determine the
+    others; see experiment 012.
+
+    Attributes:
+        front_sharpness: how strictly one depth is in front of another, per unit of log depth,
+            > 0: at 10, ten percent of depth are a full step, at 6.7 sixteen.
+        landing_tolerance: distance in pixels by which a guess may miss the pixel and still land,
+            > 0.
+        own_tolerance: largest difference of velocity within a surface, as a share of the pixel's
+            own velocity, > 0.
+        surface_sharpness: how strictly depths of one surface agree, per unit of log depth, > 0.
+        bend: how much the path along the own velocity bends with the change of velocity along it,
+            0 to 1: 0.5 is the path of a motion whose velocities stay where they are in the image.
+        jitter: share of a tap's stratum over which noise moves the tap, 0 to 1.
+        distinct: difference in pixels from which another velocity counts as different from the
+            pixel's own, > 0.
+        thin_coverage: least share of its pixels that an object of one pixel's width covers, 0 to
+            1; 1 leaves its vectors as they are.
+    """
+
+    front_sharpness: float | jax.Array = parameter(
+        6.7, above=0.0, meaning="how strictly one depth is in front of another"
+    )
+    landing_tolerance: float | jax.Array = parameter(
+        1.0, above=0.0, meaning="distance by which a guess may miss the pixel", unit="px"
+    )
+    own_tolerance: float | jax.Array = parameter(
+        0.42, above=0.0, meaning="difference of velocity within a surface, as a share of it"
+    )
+    surface_sharpness: float | jax.Array = parameter(
+        20.0, above=0.0, meaning="how strictly depths of a surface agree"
+    )
+    bend: float | jax.Array = parameter(
+        0.5,
+        low=0.0,
+        high=1.0,
+        meaning="how much its own velocities bend a pixel's path",
+        moves_taps=True,
+    )
+    jitter: float | jax.Array = parameter(
+        1.0, low=0.0, high=1.0, meaning="noise of the taps, share of a stratum", moves_taps=True
+    )
+    distinct: float | jax.Array = parameter(
+        1.0,
+        above=0.0,
+        meaning="difference from which two velocities count as two",
+        unit="px",
+        moves_taps=True,
+    )
+    thin_coverage: float | jax.Array = parameter(
+        0.5,
+        above=0.0,
+        high=1.0,
+        meaning="least share of a pixel that thin objects cover",
+        moves_taps=True,
+    )

@@ -1,0 +1,383 @@
+"""The registry of filters: everything that the rest of the package must know of a filter.
+
+Loads no jax: the command line lists filters and checks parameters by it. A filter of your own is
+one file that ends in `register`; it is found under its name by every function of the package once
+the file is imported, by ``--filter path/to/file.py:name`` (see `load_filter`), or as an installed
+plug-in: an entry point of the group ``jaxblur.filters`` that names a `FilterInfo`, or a module
+that registers its filters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import hashlib
+import importlib
+import importlib.metadata
+import importlib.util
+import pathlib
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from ..settings import Settings
+from .parameters import ParameterInfo, infos_of
+
+if TYPE_CHECKING:
+    import jax
+
+    from ..frame import Frame
+    from ..noise import Noise
+
+ENTRY_POINTS = "jaxblur.filters"
+_NAME = re.compile(r"[A-Za-z]\w*")
+
+_registered: dict[str, FilterInfo] = {}
+
+
+class Filter(Protocol):
+    """A filter: a function of a frame that gives its blurred color, (H, W, C)."""
+
+    def __call__(
+        self,
+        frame: Frame,
+        parameters: object,
+        *,
+        settings: Settings = ...,
+        noise: Noise | None = None,
+    ) -> jax.Array:
+        """Blur a frame."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class FilterInfo:
+    """A filter, and what the rest of the package must know of it.
+
+    Functions may be given as ``"module:attribute"``, which is imported on first use.
+
+    Attributes:
+        name: a Python name; `jaxblur.FILTERS` has the filter under it.
+        summary: one line for the help.
+        function: the filter, ``(frame, parameters, *, settings, noise=None) -> (H, W, C)``, jitted
+            with ``static_argnames=("settings",)`` or at least traceable.
+        parameters: a frozen dataclass registered by ``jax.tree_util.register_dataclass``, each
+            field made by `jaxblur.parameter`; None if the filter has none.
+        settings: the default settings. Their class says which choices the filter has: `Settings`,
+            or a subclass with further ones.
+        check: raises ValueError if the filter cannot run with some settings; called with them
+            before anything is compiled.
+        outcomes: for a filter that draws one of K outcomes at a pixel: a function of the same
+            arguments that gives all of them, colors (K, H, W, C) and probabilities (K, H, W). Fits
+            minimize the error expected over them.
+        smooth: the differentiable form of some settings, for fits: the same result on average,
+            without a random choice.
+        check_fit: raises ValueError if a fit cannot determine something; called with the names of
+            the free parameters, the settings, and the values that they start from.
+        row_reach: how far the filter looks, a function of parameters, settings and whether the
+            frame has paths: ``(alignment, reach)``, rows from one tile to the next (1 without
+            tiles) and rows to either side of a tile that its result may depend on.
+            `jaxblur.devices.blur_rows` needs it.
+        reads_color: whether the weights depend on color. The result is then not linear in color:
+            `jaxblur.show.texel_weights` rejects such a filter.
+    """
+
+    name: str
+    summary: str
+    function: Callable[..., Any] | str
+    parameters: type | None = None
+    settings: Settings = Settings()
+    check: Callable[[Any], None] | None = None
+    outcomes: Callable[..., Any] | str | None = None
+    smooth: Callable[[Any], Settings] | None = None
+    check_fit: Callable[[Sequence[str], Any, Mapping[str, float]], None] | None = None
+    row_reach: Callable[[Any, Any, bool], tuple[int, int]] | None = None
+    reads_color: bool = False
+
+    @functools.cached_property
+    def call(self) -> Filter:
+        """The filter, imported now if it was not yet.
+
+        Raises:
+            ValueError: the parameters are not registered with jax.
+        """
+        function = _resolve(self.function)
+        if self.parameters is not None:
+            import jax
+
+            if jax.tree_util.all_leaves([self.parameters()]):
+                raise ValueError(
+                    f"`parameters` of {self.name} must be known to jax; put "
+                    f"@jax.tree_util.register_dataclass above {self.parameters.__name__}."
+                )
+        return cast("Filter", function)
+
+    @functools.cached_property
+    def call_outcomes(self) -> Callable[..., tuple[jax.Array, jax.Array]] | None:
+        """The function `outcomes`, imported now if it was not yet; None if there is none."""
+        return None if self.outcomes is None else _resolve(self.outcomes)
+
+    @property
+    def kind(self) -> type[Settings]:
+        """The class of the settings, which says what choices there are."""
+        return type(self.settings)
+
+    @functools.cached_property
+    def parameter_infos(self) -> dict[str, ParameterInfo]:
+        """What is known of each parameter, by name; empty if there are none."""
+        return infos_of(self.parameters)
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """The default of each parameter, by name; empty if there are none."""
+        return {name: float(info.default) for name, info in self.parameter_infos.items()}
+
+    def make_parameters(self, **values: Any) -> Any:
+        """The parameters as the filter takes them.
+
+        Args:
+            **values: parameters by name; the others take their defaults.
+
+        Returns:
+            An object of the class `parameters`, or None for a filter without parameters.
+
+        Raises:
+            ValueError: there is no such parameter.
+        """
+        for name in values:
+            if name not in self.parameter_infos:
+                known = ", ".join(self.parameter_infos) or "none"
+                raise ValueError(f"`{name}` must be a parameter of {self.name}; it has {known}.")
+        # Loading the filter makes its parameters known to jax.
+        return self.parameters(**values) if self.call and self.parameters else None
+
+    def smooth_settings(self, settings: Settings) -> Settings:
+        """The differentiable form of some settings; the same ones if the filter has no other."""
+        return settings if self.smooth is None else self.smooth(settings)
+
+    def make_settings(self, **changes: Any) -> Settings:
+        """The default settings with changes.
+
+        Args:
+            **changes: fields of the class of `settings`.
+
+        Returns:
+            An object of that class.
+
+        Raises:
+            ValueError: there is no such choice, or a value is out of range.
+        """
+        known = [field.name for field in dataclasses.fields(self.settings)]
+        for name in changes:
+            if name not in known:
+                raise ValueError(
+                    f"`{name}` must be a setting of {self.name}; it has {', '.join(known)}."
+                )
+        return dataclasses.replace(self.settings, **changes)
+
+
+def register(info: FilterInfo) -> FilterInfo:
+    """Make a filter known to the package.
+
+    Args:
+        info: the filter. Registering the same object twice is harmless.
+
+    Returns:
+        The same object.
+
+    Raises:
+        ValueError: another filter has the name, or the record is wrong.
+    """
+    if not isinstance(info, FilterInfo):
+        raise ValueError(f"`info` must be a jaxblur.FilterInfo, got {info!r}.")
+    if not _NAME.fullmatch(info.name):
+        raise ValueError(
+            f"`name` must be a word of letters, digits and underscores, got {info.name!r}."
+        )
+    if _registered.get(info.name, info) is not info:
+        raise ValueError(
+            f"`name` must be new, but there is a filter {info.name!r}; choose another name, or "
+            "call jaxblur.filters.unregister first."
+        )
+    for name in ("function", "outcomes"):
+        value = getattr(info, name)
+        if not (callable(value) or _is_reference(value) or (value is None and name == "outcomes")):
+            raise ValueError(f"`{name}` must be a function or 'module:attribute', got {value!r}.")
+    if not isinstance(info.settings, Settings):
+        raise ValueError(f"`settings` must be a jaxblur.Settings, got {info.settings!r}.")
+    if info.check is not None:
+        info.check(info.settings)
+    infos_of(info.parameters)
+    _registered[info.name] = info
+    return info
+
+
+def unregister(name: str) -> None:
+    """Forget a filter of one's own, so that its name can be registered anew.
+
+    Args:
+        name: of the filter.
+
+    Raises:
+        ValueError: there is no such filter, or it is one of the package.
+    """
+    from .builtin import BUILTIN
+
+    info = filter_info(name)
+    if info in BUILTIN:
+        raise ValueError(f"`name` must be a filter of your own, got {name!r}.")
+    del _registered[info.name]
+
+
+def filter_info(filter: str | Callable[..., Any]) -> FilterInfo:
+    """What is known of a filter.
+
+    Args:
+        filter: its name, or the function itself.
+
+    Returns:
+        The record that was registered.
+
+    Raises:
+        ValueError: no such filter is registered; the message lists those that are.
+    """
+    info = _find(filter, _registered) or _find(filter, _with_plugins())
+    if info is not None:
+        return info
+    hint = ""
+    if isinstance(filter, str):
+        near = difflib.get_close_matches(filter, names(), n=1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+    raise ValueError(
+        f"`filter` must be one of {', '.join(names())}, or one of these functions, got "
+        f"{filter!r}{hint}; filters of your own are made known by jaxblur.register."
+    )
+
+
+def _find(filter: str | Callable[..., Any], filters: Mapping[str, FilterInfo]) -> FilterInfo | None:
+    if isinstance(filter, str):
+        return filters.get(filter)
+    for info in filters.values():
+        if not isinstance(info.function, str):
+            known = info.function
+        else:
+            module, _, attribute = info.function.partition(":")
+            # A function that somebody holds is of a module that is loaded.
+            known = getattr(sys.modules.get(module), attribute, None)
+        if filter is known:
+            return info
+    return None
+
+
+def names() -> tuple[str, ...]:
+    """The names of all filters: those of the package, then others, plug-ins included."""
+    return tuple(_with_plugins())
+
+
+def load_filter(reference: str) -> FilterInfo:
+    """Import a file that registers a filter.
+
+    Args:
+        reference: ``path/to/file.py:name``, the name being that of the `FilterInfo`.
+
+    Returns:
+        What the file registered under that name. A file is imported once in a process.
+
+    Raises:
+        ValueError: there is no such file, importing it fails, or it does not register the name.
+    """
+    path, colon, name = reference.rpartition(":")
+    if not colon or not path.endswith(".py") or not name:
+        raise ValueError(f"`filter` must be a name, or path/to/file.py:name, got {reference!r}.")
+    file = pathlib.Path(path).resolve()
+    if not file.is_file():
+        raise ValueError(f"{path}: there is no such file; give the path of a Python file.")
+    module = f"_jaxblur_filter_{hashlib.sha256(str(file).encode()).hexdigest()[:16]}"
+    if module not in sys.modules:
+        _import_file(file, module, path)
+    registered = sys.modules[module].__dict__[_REGISTERED_BY_FILE]
+    if name not in registered:
+        listing = ", ".join(registered) or "no filter; it must call jaxblur.register"
+        raise ValueError(f"{path}: registers no filter {name!r}, but {listing}.")
+    return register(registered[name])
+
+
+_REGISTERED_BY_FILE = "__jaxblur_filters__"
+
+
+def _import_file(file: pathlib.Path, module: str, path: str) -> None:
+    """Import a file under a name of its own, and keep in it what it registered."""
+    spec = importlib.util.spec_from_file_location(module, file)
+    assert spec is not None and spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    before = dict(_registered)
+    sys.modules[module] = loaded
+    try:
+        spec.loader.exec_module(loaded)
+    except Exception as error:
+        del sys.modules[module]
+        for name in _registered.keys() - before.keys():
+            del _registered[name]
+        raise ValueError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
+    new = {name: info for name, info in _registered.items() if name not in before}
+    setattr(loaded, _REGISTERED_BY_FILE, new)
+
+
+def _with_plugins() -> dict[str, FilterInfo]:
+    """All filters, those of installed plug-ins among them."""
+    _load_plugins()
+    return _registered
+
+
+@functools.cache
+def _load_plugins() -> None:
+    """Import installed plug-ins, once; one that fails gives a warning that names it."""
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            loaded = point.load()
+            if isinstance(loaded, FilterInfo):
+                register(loaded)
+        except Exception as error:
+            source = point.dist.name if point.dist else "an unknown package"
+            warnings.warn(
+                f"the filter plug-in {point.name!r} of {source} ({point.value}) cannot be loaded: "
+                f"{type(error).__name__}: {error}; update or uninstall {source}.",
+                stacklevel=2,
+            )
+
+
+def _is_reference(value: object) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"[\w.]+:\w+", value) is not None
+
+
+def _resolve(function: Callable[..., Any] | str) -> Callable[..., Any]:
+    if not isinstance(function, str):
+        return function
+    module, _, attribute = function.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+class _Filters(Mapping[str, Filter]):
+    """The functions of all registered filters, by name; read-only, always current."""
+
+    def __getitem__(self, name: str) -> Filter:
+        known = _registered if name in _registered else _with_plugins()
+        return known[name].call
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(names())
+
+    def __len__(self) -> int:
+        return len(names())
+
+    def __contains__(self, name: object) -> bool:
+        return name in _registered or name in _with_plugins()
+
+    def __repr__(self) -> str:
+        return f"<filters {', '.join(self)}>"
+
+
+FILTERS: Mapping[str, Filter] = _Filters()
