@@ -192,7 +192,9 @@ def _limit_of_planes(limit: Callable[..., Any], structure: Any) -> Callable[...,
     return lambda local: limit(jax.tree.unflatten(structure, [value for (value,) in local]))
 
 
-def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[jax.Array, Any]:
+def _prepared(
+    plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, Any]:
     """Which results are wanted, and the prepared values: planes are the terms of one sample.
 
     Their derivatives are then those of a sum, in native code too, and reverse mode computes these
