@@ -40,9 +40,9 @@ def tile_velocities(
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: ``tile`` for the fastest vector of the tile itself, ``neighbor`` for the dominant
-            one of its 3 x 3 ring.
+            one of its 3 x 3 neighborhood.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels, clamped to the radius.
@@ -70,7 +70,7 @@ def tile_overlay(
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: see `tile_velocities`.
         axes: where to draw.
 
