@@ -116,9 +116,9 @@ def random_cubes(n: int = 500, seed: int = 1) -> Scene:
 def acceleration_from_rest() -> Scene:
     """A cube, a ball and a rotor that start to move halfway through the exposure.
 
-    After Guertin 2014, section 3.6.2: a filter that assumes constant velocity blurs a body that
-    accelerates from rest to the wrong side of its rest position too. At time 0 all bodies are at
-    rest; the true blur of an exposure centered on time 0 lies on one side only.
+    After Guertin 2014, section 3.6.2: a filter that assumes constant velocity also blurs a
+    body on the wrong side of its rest position. At time 0 all bodies are at rest; the true blur of
+    an exposure centered on time 0 lies on one side only.
     """
     bodies = [
         Body(
