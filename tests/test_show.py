@@ -261,7 +261,7 @@ def test_curves_and_bars_draw_their_values():
         (lambda: show.error_map(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), kind=UNKNOWN), "`kind`"),
         (lambda: show.image_grid({}), "at least one image"),
         (lambda: show.curves({}, x="", y=""), "at least one line"),
-        (lambda: show.curves({"a": ([1], [1])}, x="", y="", log="z"), "`log` must be made of"),
+        (lambda: show.curves({"a": ([1], [1])}, x="", y="", log="z"), "`log` may hold only"),
         (lambda: show.bars({"a": {"x": 1.0}, "b": {"y": 1.0}}, x=""), "the same names"),
     ],
 )
