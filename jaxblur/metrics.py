@@ -240,7 +240,7 @@ def flip(
         A float in [0, 1]; 0 means no visible difference.
 
     Raises:
-        ValueError: as :func:`flip_map`.
+        ValueError: as for :func:`flip_map`.
     """
     error = flip_map(image, truth, hdr, pixels_per_degree)
     return float(error.mean() if mask is None else error[np.asarray(mask)].mean())

@@ -41,7 +41,7 @@ class Buffers:
         path: (H, W, 2, 2) displacement at shutter opening and closing, or None.
         color_channels: full names of the color channels.
         depth_channel: full name, or None where depth is flat.
-        depth_kind: kind of depth as which it was read.
+        depth_kind: the kind that depth was read as.
         guess: convention and channels of the vectors, and the reason for them.
         valid: (H, W) False where the color is NaN or infinite and is left out, or None if all
             pixels are used.
@@ -90,8 +90,8 @@ def read_frame(
         The frame, in the conventions of `jaxblur.frame`.
 
     Raises:
-        JaxblurIOError: as `read_buffers`.
-        ValueError: as `read_buffers`.
+        JaxblurIOError: as for `read_buffers`.
+        ValueError: as for `read_buffers`.
     """
     buffers = read_buffers(path, preset, shutter, **options)
     # Imported late, so that listings and path errors do not load jax.

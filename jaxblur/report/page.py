@@ -49,7 +49,7 @@ def build_page(result: Result, max_megabytes: float = 20.0) -> Page:
     way for all of its pictures; the page and the warnings report it.
 
     Args:
-        result: from `read_result`.
+        result: result from `read_result`.
         max_megabytes: largest file size allowed.
 
     Returns:

@@ -79,7 +79,7 @@ class Shot:
     Attributes:
         name: unique within its result.
         truth: (H, W, C) linear light.
-        pictures: in the order in which they are shown.
+        pictures: pictures in display order.
         hashes: SHA-256 of input files by name.
         sha256: SHA-256 of the file that the truth was read from.
     """
@@ -97,7 +97,7 @@ class Result:
 
     Attributes:
         title: title of the page.
-        shots: in the order in which they are shown.
+        shots: shots in display order.
         settings: shared by all methods, such as the shutter.
         versions: versions of the software, by name.
     """

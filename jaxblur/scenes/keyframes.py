@@ -149,7 +149,7 @@ def own_copies(
 
     Args:
         world: the arrays of a scene.
-        poses: at the ends of the pieces, leading axis K + 1.
+        poses: poses at the ends of the pieces, leading axis K + 1.
         piece: (N,) in [0, K).
         triangle: (N,) not negative.
         share: (N,) time as a share of the piece, in [0, 1].

@@ -66,7 +66,7 @@ def rigid(
     """Describe one rigid motion; parts that are left out do not move.
 
     Args:
-        position: (3,) where the object's origin is at time 0, scene units.
+        position: (3,) position of the object's origin at time 0, scene units.
         orientation: (3, 3) rotation from object to world axes; identity if None.
         velocity: (3,) scene units per frame.
         acceleration: (3,) scene units per frame squared, from `start` on.

@@ -29,7 +29,7 @@ class View(NamedTuple):
     """Inputs that all shading of one pass shares.
 
     Attributes:
-        poses: at the ends of the pieces.
+        poses: poses at the ends of the pieces.
         swept: moving triangles.
         clock: bits against time.
         ray: (3, P) through the sample of every pixel, camera space.

@@ -144,7 +144,7 @@ def torus(radius: float = 1.0, tube: float = 0.3, segments: int = 48, sides: int
     """Make a torus around the z axis.
 
     Args:
-        radius: from the center to the middle of the tube.
+        radius: distance from the center to the middle of the tube.
         tube: radius of the tube.
         segments: quads around the axis.
         sides: quads around the tube.
@@ -228,7 +228,7 @@ def gear(
     """Make a gear around the z axis: a toothed rim (slot 0), spokes and a hub (slot 1).
 
     Args:
-        radius: to the middle of the teeth.
+        radius: radius at the middle of the teeth.
         teeth: number of teeth.
         spokes: number of spokes.
         thickness: thickness of the rim along z; the spokes are thinner.
@@ -255,7 +255,7 @@ def rotor(radius: float = 1.0, blades: int = 4, width: float = 0.12) -> Mesh:
     """Make a rotor about the y axis: blades (slot 0) with painted tips (slot 1) on a hub (1).
 
     Args:
-        radius: to the tips of the blades.
+        radius: radius at the tips of the blades.
         blades: number of blades.
         width: width of a blade.
 
@@ -298,7 +298,7 @@ def wheel(radius: float = 1.0, spokes: int = 6, width: float = 0.3) -> Mesh:
     """Make a wheel around the z axis: a tire (slot 0), a rim, spokes and a hub (slot 1).
 
     Args:
-        radius: to the tread.
+        radius: radius at the tread.
         spokes: number of spokes.
         width: width of the tire along z.
 

@@ -45,8 +45,8 @@ def room(width: float, height: float, back: float, front: float) -> list[Body]:
     """Build a room with grid walls, open toward the camera.
 
     Args:
-        width: from side to side, around x = 0.
-        height: from the floor at y = 0.
+        width: width, centered on x = 0.
+        height: height above the floor at y = 0.
         back: z of the back wall.
         front: z of the open end.
 

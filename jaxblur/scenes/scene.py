@@ -52,7 +52,7 @@ class Body:
         name: the object's entry in `Scene.object_names`.
         mesh: the shape.
         material: one material, or one per slot of the mesh.
-        motion: how it moves; still at the origin by default.
+        motion: rigid motion; at rest at the origin by default.
         wave: deformation, or None.
     """
 
@@ -209,7 +209,7 @@ def make_scene(name: str, bodies: Sequence[Body], camera: Camera, light: Light) 
 
     Args:
         name: name of the scene.
-        bodies: at least one.
+        bodies: at least one body.
         camera: the camera.
         light: sun, ambient light and sky.
 

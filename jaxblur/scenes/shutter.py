@@ -73,7 +73,7 @@ def exposure_positions(
     Inverts the integral of the curve, which is quadratic between two points.
 
     Args:
-        curve: of mean 1, from `shutter_curve`.
+        curve: curve of mean 1, from `shutter_curve`.
         samples: number of samples.
 
     Returns:

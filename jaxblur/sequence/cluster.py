@@ -37,7 +37,7 @@ def run_cluster(
 
     Args:
         jobs: the jobs; every worker must be able to use their paths.
-        stages: in order; their functions must be picklable.
+        stages: stages in order; their functions must be picklable.
         scheduler: ``local`` for processes on this machine, or the address of a scheduler, such
             as ``tcp://farm:8786``.
         workers: number of local processes.
@@ -70,7 +70,7 @@ def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
 
     Args:
         job: the job.
-        stages: in order.
+        stages: stages in order.
         version: version of jaxblur in the process that submitted the job.
 
     Returns:

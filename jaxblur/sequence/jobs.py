@@ -36,7 +36,7 @@ class Job:
             that equal those of this run; ``missing`` inputs; ``refuse`` to replace existing files.
         reason: reason for the action, in words.
         marks: attributes for the header of the outputs.
-        mean_speed: as stored in outputs that are kept, or None.
+        mean_speed: mean speed stored in outputs that are kept, or None.
     """
 
     frame: int
@@ -53,7 +53,7 @@ class Plan:
     """All frames of a run.
 
     Attributes:
-        jobs: in the order of the frames asked for.
+        jobs: jobs in the order of the requested frames.
     """
 
     jobs: tuple[Job, ...]

@@ -54,7 +54,7 @@ def run_stages(job: Job, stages: Sequence[Stage]) -> Outcome:
 
     Args:
         job: the job.
-        stages: in order.
+        stages: stages in order.
 
     Returns:
         The outcome; it holds the error if a stage raised one.
@@ -78,7 +78,7 @@ def run_pipeline(
 
     Args:
         jobs: taken one by one as jobs finish.
-        stages: in order; their functions must be safe to run in threads.
+        stages: stages in order; their functions must be safe to run in threads.
         spare: jobs that may wait between stages.
 
     Yields:

@@ -55,7 +55,7 @@ def depth_map(frame: Frame, *, axes: "Axes | None" = None) -> "Figure":
 
     Args:
         frame: one frame.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -99,7 +99,7 @@ def velocity_wheel(
     Args:
         frame: one frame.
         limit: half-spread of full saturation in pixels; that of the fastest pixel if None.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -136,7 +136,7 @@ def velocity_arrows(
     Args:
         frame: one frame.
         spacing: pixels between arrows; 20 arrows across the picture if None.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.

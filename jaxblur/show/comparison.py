@@ -67,7 +67,7 @@ def error_map(
         kind: ``flip`` for the visibility of the difference, ``display`` for the mean absolute
             difference of the three display values.
         limit: error at the upper end of the scale; 1 for FLIP, the largest error otherwise.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.

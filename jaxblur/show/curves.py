@@ -36,7 +36,7 @@ def curves(
         log: the axes with a logarithmic scale: ``x``, ``y``, ``xy`` or none.
         marks: dashed vertical lines by name.
         levels: dotted horizontal lines by name.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -77,7 +77,7 @@ def bars(
         groups: values by name, by group; all groups hold the same names.
         x: label of the values, with their unit.
         title: title above the plot.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure; the first name is on top.

@@ -36,7 +36,7 @@ def figure_and_axes(
     """Return the axes to draw in and their figure; make new ones if none are given.
 
     Args:
-        axes: where to draw, or None.
+        axes: axes to draw in, or None.
         width: width of a new figure, inches.
         height: height of a new figure, inches.
 
@@ -59,7 +59,7 @@ def show_pixels(axes: "Axes", display: Any, title: str = "") -> Any:
     """Draw display values, one square for each pixel, without ticks.
 
     Args:
-        axes: where to draw.
+        axes: axes to draw in.
         display: (H, W, 3) sRGB values in [0, 1], or (H, W).
         title: title above the picture.
 

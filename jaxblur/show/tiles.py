@@ -72,7 +72,7 @@ def tile_overlay(
         frame: one frame.
         settings: radius, and the rule for diagonal tiles.
         stage: see `tile_velocities`.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -198,7 +198,7 @@ def tap_diagram(
         parameters: parameters of the filter; its defaults if None.
         settings: settings of the filter; its defaults if None.
         noise: noise of the filter.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
