@@ -212,7 +212,7 @@ def _prepared(
     grid = plan.grid
     local, tables = plan.operands(leaves)
     values, structure = jax.tree.flatten(jax.eval_shape(prepare, grid.place(), local, tables)[1])
-    dtype = jnp.result_type(*(value.dtype for value in values))
+    dtype = jnp.result_type(jnp.float32, *(value.dtype for value in values))
     planes = [k for k, value in enumerate(values) if value.ndim == 3]
 
     def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.extend import core
 
 from .program import read_table
@@ -88,16 +89,34 @@ def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
         if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
             inputs = list(jnp.broadcast_arrays(*inputs))
         return [equation.primitive.bind(*map(jnp.asarray, inputs), **parameters)]
+    if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
+        return _loop(equation, inputs)
     return _one_by_one(equation, inputs)
+
+
+def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
+    """A loop that carries values on, as `lax.fori_loop` of known length makes it."""
+    parameters, constants = equation.params, equation.params["num_consts"]
+    body, closed_over = opened(parameters["jaxpr"])
+    scalars = [v for v, o in zip(inputs, equation.invars, strict=True) if o.aval.ndim == 0]
+    shape = np.broadcast_shapes(*map(np.shape, scalars))
+    known = dict(zip(body.constvars, closed_over, strict=True))
+    known |= zip(body.invars[:constants], inputs[:constants], strict=True)
+
+    def step(carried: list[Any], _: None) -> tuple[list[Any], None]:
+        values = known | dict(zip(body.invars[constants:], carried, strict=True))
+        look = evaluate(body.eqns, values, body.outvars)
+        return [jnp.broadcast_to(look(variable), shape) for variable in body.outvars], None
+
+    start = [jnp.broadcast_to(value, shape) for value in inputs[constants:]]
+    return lax.scan(step, start, None, parameters["length"])[0]
 
 
 def _one_by_one(equation: Any, inputs: list[Any]) -> list[Any]:
     """Any other operation, as it is for scalars, mapped over all elements."""
-
     pairs = zip(equation.invars, inputs, strict=True)
     known = {v: value for v, value in pairs if not isinstance(v, core.Literal)}
-    alone = core.Jaxpr((), list(known), equation.outvars, [equation])
-    function = core.jaxpr_as_fun(core.ClosedJaxpr(alone, ()))
+    function = _function_of(equation, list(known))
     scalars = [variable.aval.ndim == 0 for variable in known]
     inputs = list(known.values())
     shape = np.broadcast_shapes(
@@ -111,3 +130,28 @@ def _one_by_one(equation: Any, inputs: list[Any]) -> list[Any]:
     ]
     axes = [0 if scalar else None for scalar in scalars]
     return [result.reshape(shape) for result in jax.vmap(function, axes)(*flat)]
+
+
+def _function_of(equation: Any, variables: list[Any]) -> Callable[..., list[Any]]:
+    """The operation alone, as a function of its variables; derivatives of its own are kept."""
+    inner = [opened(value)[0] for value in equation.params.values() if _is_jaxpr(value)]
+    if not inner:
+
+        def bind(*values: Any) -> list[Any]:
+            known = dict(zip(variables, values, strict=True))
+            inputs = [
+                atom.val if isinstance(atom, core.Literal) else known[atom]
+                for atom in equation.invars
+            ]
+            result = equation.primitive.bind(*inputs, **equation.params)
+            return list(result) if equation.primitive.multiple_results else [result]
+
+        return bind
+    alone = inner[0].replace(
+        constvars=(), invars=variables, outvars=equation.outvars, eqns=[equation]
+    )
+    return core.jaxpr_as_fun(core.ClosedJaxpr(alone, ()))
+
+
+def _is_jaxpr(value: Any) -> bool:
+    return isinstance(value, core.Jaxpr | core.ClosedJaxpr)

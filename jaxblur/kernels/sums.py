@@ -160,7 +160,7 @@ def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """
 
     def sums(*leaves: jax.Array) -> Terms:
-        terms = plan.terms(jnp.arange(plan.count), leaves)
+        terms = plan.terms(jnp.arange(plan.count, dtype=jnp.int32), leaves)
         zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
         return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
@@ -197,7 +197,7 @@ def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
         terms = jax.checkpoint(plan.terms)(index[None], leaves)
         return _add(totals, tuple(term[..., 0] for term in terms)), None
 
-    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.count))[0]
+    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.count, dtype=jnp.int32))[0]
 
 
 def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
