@@ -8,23 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur import native
-from jaxblur.native import build, emit
-from tests.test_native_operations import sum_of
+from jaxblur.kernels import Image, Outcome, each_pixel, sum_over
+from jaxblur.kernels.cpp import build, emit
+from jaxblur.kernels.tracing import trace
+from tests.test_kernels_operations import Planes, sum_of
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
 
 
+def scaled_sum(at, images, _, count):
+    (a,) = images.a.here()
+    return Outcome((sum_over(count, lambda i: a * i),))
+
+
 def tiny_program(count):
     """A kernel that no other test compiles."""
-    stages = native.Stages(
-        moving=lambda local, _: (local > 0, ()),
-        prepare=lambda local, tables, found: local,
-        sample=lambda index, local, _: (local * index,),
-        finish=lambda sums, *_: sums,
-    )
-    plane = jax.ShapeDtypeStruct((2, 3, 1), jnp.float32)
-    return emit.emit_gather(stages, count, (2, 3), plane, ()).source
+    plane = Image(jnp.ones((2, 3, 1)))
+    stages = trace(scaled_sum, Planes(plane, plane), None, count).stages
+    return emit.emit_gather(stages, emit.Operands.of([plane.values], 1, 4)).source
 
 
 def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_path):
@@ -34,13 +35,13 @@ def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_pat
     monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "_failure", None)
+    build.forget_failures()
     with pytest.raises(build.BuildFailed, match="no such thing as vectors"):
         build.register(tiny_program(101))
     assert list((tmp_path / "jaxblur" / "kernels").iterdir()) == []
 
 
-def test_a_compiler_that_fails_is_asked_once_and_warned_of_once(monkeypatch, tmp_path, caplog):
+def test_a_compiler_that_fails_is_asked_once_a_program_and_warned_of_once(monkeypatch, tmp_path, caplog):
     broken = tmp_path / "c++"
     broken.write_text(
         "#!/bin/sh\necho x >> $0.calls\necho 'kernel.cc: In function' >&2\n"
@@ -50,18 +51,19 @@ def test_a_compiler_that_fails_is_asked_once_and_warned_of_once(monkeypatch, tmp
     monkeypatch.setattr(build, "find_compiler", lambda: str(broken))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "_failure", None)
+    build.forget_failures()
 
-    def one(i, a, t):  # Kernels that no other test compiles.
+    def one(i, a, t, p):  # Kernels that no other test compiles.
         return a * 101 + i
 
-    def other(i, a, t):
+    def other(i, a, t, p):
         return a * 103 + i
 
     np.testing.assert_array_equal(sum_of(one, backend="auto"), sum_of(one, backend="xla"))
+    sum_of(one, backend="auto")
     sum_of(other, backend="auto")
     calls = (tmp_path / "c++.calls").read_text().splitlines()
-    assert len(calls) == len(build.MACHINE_FLAGS)
+    assert len(calls) == 2 * len(build.MACHINE_FLAGS), "each program once"
     (warning,) = [record for record in caplog.records if record.levelname == "WARNING"]
     words = warning.getMessage()
     assert words.endswith("error: no such name; XLA does its work, several times as slow")
@@ -100,3 +102,41 @@ def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(build, "_keeps_kernels", True)
     assert build.register(tiny_program(103)).startswith("jaxblur_sum_")
+
+
+def test_a_failure_is_remembered_for_its_program_alone(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    for _ in range(2):
+        with pytest.raises(build.BuildFailed, match="error"):
+            build.register("this is no program @NAME@")
+    assert build.register(tiny_program(105)).startswith("jaxblur_sum_")
+
+
+def test_a_second_size_compiles_nothing(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    compiled = []
+    compile_ = build._compile
+    monkeypatch.setattr(
+        build, "_compile", lambda *arguments: (compiled.append(1), compile_(*arguments))
+    )
+
+    def blur(height, width):
+        plane = Image(jnp.ones((height, width, 1)))
+        planes = Planes(plane, plane)
+        return each_pixel(scaled_sum, (height, width), planes, None, 106, backend="native")
+
+    for size in ((5, 19), (7, 300), (1, 1)):
+        np.testing.assert_array_equal(blur(*size), 106 * 105 / 2)
+    assert len(compiled) == 1
+
+
+def test_compiling_is_said_once(monkeypatch, tmp_path, caplog):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    monkeypatch.setattr(build, "_said", False)
+    with caplog.at_level("INFO", logger="jaxblur"):
+        for count in (107, 108):
+            build.register(tiny_program(count))
+    assert caplog.text.count("compiling native code") == 1

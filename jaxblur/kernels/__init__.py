@@ -5,9 +5,11 @@ Imports nothing of jaxblur but `settings`, `safe_math` and `_util`. The README s
 
 from .gathers import cond_of_values as cond_of_values, unchanged as unchanged
 from .passes import (
+    Pass as Pass,
     each_pixel as each_pixel,
     largest_in_tiles as largest_in_tiles,
     largest_marks as largest_marks,
+    recorded_passes as recorded_passes,
 )
 from .program import (
     At as At,

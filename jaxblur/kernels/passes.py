@@ -1,6 +1,10 @@
 """The passes that a filter is made of: programs for each pixel, for tiles, and for marks."""
 
-from typing import Any, NamedTuple
+import contextlib
+import contextvars
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +17,51 @@ from .program import At, Image, Outcome
 from .scatter import run_marks
 from .sums import Grid
 from .tracing import Program, Traced, flatten, trace
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pass:
+    """A pass that a filter runs, as another target prints it.
+
+    Attributes:
+        kind: a program of every ``pixel`` of its grid, of every one of its ``tiles`` (a search for
+            the largest key), or one that leaves ``marks`` in a table.
+        traced: the program; its name, its jaxpr of scalars, its inputs, its stages.
+        kept: channels of the image that pixels keep where the program says so; 0 if none.
+    """
+
+    kind: Literal["pixel", "tiles", "marks"]
+    traced: Traced
+    kept: int = 0
+
+
+_recorded: contextvars.ContextVar[list[Pass] | None] = contextvars.ContextVar(
+    "_recorded", default=None
+)
+
+
+@contextlib.contextmanager
+def recorded_passes() -> Iterator[list[Pass]]:
+    """Record the passes that are traced inside a ``with`` block, in order.
+
+    A jitted function that is called with the same types again is not traced again: record it on
+    sizes that it has not seen, or call ``jax.clear_caches()`` first.
+
+    Yields:
+        The list, which grows.
+    """
+    passes: list[Pass] = []
+    token = _recorded.set(passes)
+    try:
+        yield passes
+    finally:
+        _recorded.reset(token)
+
+
+def _record(kind: Literal["pixel", "tiles", "marks"], traced: Traced, kept: Any = None) -> None:
+    passes = _recorded.get()
+    if passes is not None:
+        passes.append(Pass(kind, traced, 0 if kept is None else kept.shape[-1]))
 
 
 def each_pixel(
@@ -47,6 +96,18 @@ def each_pixel(
             ``native`` and there is no compiler or no native form.
     """
     traced = trace(program, images, parameters, settings)
+    _record("pixel", traced, kept)
+    return _run(traced, size, images, parameters, kept, backend)
+
+
+def _run(
+    traced: Traced,
+    size: tuple[int, int],
+    images: Any,
+    parameters: Any,
+    kept: jax.Array | None,
+    backend: Backend,
+) -> jax.Array:
     local, tables, grid = _operands(traced, size, images, parameters)
     return run_stages(traced.stages, kept, local, tables, grid, backend)
 
@@ -96,6 +157,7 @@ def largest_marks(
         ValueError: as `each_pixel`.
     """
     traced = trace(program, images, parameters, settings)
+    _record("marks", traced)
     local, tables, grid = _operands(traced, size, images, parameters)
     return run_marks(traced.stages, [*local, *tables], len(local), grid, length, backend)
 
@@ -132,13 +194,14 @@ def largest_in_tiles(
     images, parameters = jax.tree.map(
         _without_derivative, (images, parameters), is_leaf=lambda leaf: isinstance(leaf, Image)
     )
-    if backend == "xla" or not _all_float32(images):
-        keys = each_pixel(program, size, images, parameters, settings, backend="xla")
-        return _by_windows(keys, side)
     tiles = -(-size[0] // side), -(-size[1] // side)
-    whole = _Size(jnp.int32(size[0]), jnp.int32(size[1]))
-    search = _Search(program, side, settings)
-    return each_pixel(_search_tile, tiles, images, (whole, parameters), search, backend=backend)
+    inputs = _Size(jnp.int32(size[0]), jnp.int32(size[1])), parameters
+    search = trace(_search_tile, images, inputs, _Search(program, side, settings))
+    _record("tiles", search)
+    if backend == "xla" or not _all_float32(images):
+        keys = trace(program, images, parameters, settings)
+        return _by_windows(_run(keys, size, images, parameters, None, "xla"), side)
+    return _run(search, tiles, images, inputs, None, backend)
 
 
 class _Size(NamedTuple):
@@ -163,7 +226,8 @@ def _without_derivative(leaf: Any) -> Any:
 
 
 def _all_float32(images: Any) -> bool:
-    return all(image.values.dtype == jnp.float32 for image in flatten(images, None)[0])
+    leaves = flatten(images, None)[0]
+    return all(leaf.values.dtype == jnp.float32 for leaf in leaves if isinstance(leaf, Image))
 
 
 def _search_tile(at: At, images: Any, parameters: Any, search: _Search) -> Outcome:

@@ -22,16 +22,18 @@ FLAGS = (
     *("-O3", "-std=c++17", "-shared", "-fPIC", "-fwrapv", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-Wno-psabi"),
 )
-# Tried in this order: compilers disagree about the name of "for this machine".
+# Tried in this order: compilers differ in the flag for "this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
 MOST_KERNELS = 300
-"""Kernels that are kept, some 30 KB each; those that were made longest ago go first."""
+"""Kernels that are kept, about 30 KB each; the oldest are removed first."""
 
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
-_failure: "BuildFailed | None" = None
-"""Why the compiler refused a kernel of this process."""
+_said = False
+"""Whether this process has said that it compiles."""
+_failures: "dict[tuple[str, str], BuildFailed]" = {}
+"""Why the compiler refused a program, by compiler and program."""
 
 
 class BuildFailed(Exception):
@@ -48,7 +50,7 @@ def find_compiler() -> str | None:
 
 @functools.cache
 def _machine() -> str:
-    """What a kernel's instructions depend on, so that computers with one home do not share it."""
+    """The machine that kernels are compiled for; computers with one home do not share kernels."""
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
         kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
@@ -58,9 +60,9 @@ def _machine() -> str:
 
 
 def _folder() -> pathlib.Path:
-    """Where kernels are kept, readable by this user only; a passing one if that cannot be used."""
+    """The folder of kernels, readable by this user only; a temporary one if it cannot be used."""
     if not _keeps_kernels:
-        return _passing_folder()
+        return _temporary_folder()
     try:
         folder = cache_folder() / "kernels"
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -68,7 +70,7 @@ def _folder() -> pathlib.Path:
             return folder
     except (OSError, RuntimeError):
         pass
-    return _passing_folder()
+    return _temporary_folder()
 
 
 def keep_kernels(keep: bool) -> None:
@@ -82,8 +84,8 @@ def keep_kernels(keep: bool) -> None:
 
 
 @functools.cache
-def _passing_folder() -> pathlib.Path:
-    """A folder for the time of this process."""
+def _temporary_folder() -> pathlib.Path:
+    """A folder that is removed when this process ends."""
     folder = tempfile.mkdtemp(prefix="jaxblur_kernels_")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return pathlib.Path(folder)
@@ -93,18 +95,18 @@ def _compile(source: str, library: pathlib.Path) -> None:
     """Compile beside the target, then rename: another process never sees half a library.
 
     Raises:
-        BuildFailed: with the compiler's words; what it refuses once it refuses again.
+        BuildFailed: with the compiler's words; a program refused once is refused again.
     """
-    global _failure
-    if _failure is not None:
-        raise _failure
+    compiler = find_compiler() or "c++"
+    if (compiler, source) in _failures:
+        raise _failures[compiler, source]
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         program = pathlib.Path(folder, "kernel.cc")
         program.write_text(source, encoding="utf-8")
         built = program.with_suffix(".so")
         words = ""
         for machine in MACHINE_FLAGS:
-            command = [find_compiler() or "c++", *FLAGS, *machine, f"-I{jax.ffi.include_dir()}"]
+            command = [compiler, *FLAGS, *machine, f"-I{jax.ffi.include_dir()}"]
             command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode == 0:
@@ -113,18 +115,24 @@ def _compile(source: str, library: pathlib.Path) -> None:
                 return
             words = done.stderr
     error = _first_error(words)
-    _failure = BuildFailed(f"the C++ compiler {find_compiler()} refused a kernel: {error}")
-    raise _failure
+    failure = BuildFailed(f"the C++ compiler {compiler} refused a kernel: {error}")
+    _failures[compiler, source] = failure
+    raise failure
+
+
+def forget_failures() -> None:
+    """Ask the compiler again for programs that it has refused."""
+    _failures.clear()
 
 
 def _first_error(words: str) -> str:
-    """The line that matters of what a compiler says."""
-    lines = words.strip().splitlines() or ["it says nothing"]
+    """The line of a compiler's output that says the error."""
+    lines = words.strip().splitlines() or ["it printed nothing"]
     return next((line for line in lines if "error" in line), lines[0])
 
 
 def _forget_old(folder: pathlib.Path) -> None:
-    """Remove what is beyond the kernels that are kept; a process that has loaded one keeps it."""
+    """Remove the oldest kernels beyond the number kept; a process that has loaded one keeps it."""
     kernels = sorted(folder.glob("*.so"), key=_made, reverse=True)
     for path in kernels[MOST_KERNELS:]:
         path.unlink(missing_ok=True)
@@ -148,10 +156,17 @@ def register(source: str) -> str:
         Name of the target for `jax.ffi.ffi_call`.
 
     Raises:
-        BuildFailed: the compiler refused it, or a former one, or what it made cannot be loaded.
+        BuildFailed: the compiler refused it, or its output cannot be loaded.
     """
     with _ONE_AT_A_TIME:
         return _register(source)
+
+
+def _say_once() -> None:
+    global _said
+    if not _said:
+        LOG.info("compiling native code, once for this kind of run")
+    _said = True
 
 
 @functools.cache
@@ -162,7 +177,7 @@ def _register(source: str) -> str:
     library = _folder() / f"{name}.so"
     try:
         if not library.exists():
-            LOG.info("compiling native code, once for this kind of run")
+            _say_once()
             LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
         function = getattr(ctypes.CDLL(os.fspath(library)), name)

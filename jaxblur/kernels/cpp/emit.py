@@ -71,12 +71,14 @@ class Kernel:
         planes: number of results of a pixel.
         tables: number of flat tables that samples add to, or leave their marks in.
         is_image: whether the results of a pixel are the channels of one image, or a plane each.
+        parts: the text that is filled into the template, by its name there.
     """
 
     source: str
     planes: int
     tables: int
-    is_image: bool = False
+    is_image: bool
+    parts: dict[str, str]
 
 
 class _Program:
@@ -243,11 +245,11 @@ class _Program:
         numbers = self._numbers | {"TABLES": tables, "RESULTS": len(results)}
         numbers["ROWS_OF_THREE"] = ", ".join(map(str, [*self._rows_of_three, 0]))
         texts = {name: "\n".join(filter(None, lines)) for name, lines in parts.items()}
-        texts["LANES"] = LANES.read_text(encoding="utf-8")
+        texts |= {name: str(number) for name, number in numbers.items()}
         source = TEMPLATE.read_text(encoding="utf-8")
-        for name, text in ({name: str(number) for name, number in numbers.items()} | texts).items():
+        for name, text in (texts | {"LANES": LANES.read_text(encoding="utf-8")}).items():
             source = source.replace(f"@{name}@", text)
-        return Kernel(source, len(results), tables, is_image)
+        return Kernel(source, len(results), tables, is_image, texts)
 
 
 def _is_value(leaf: Any) -> bool:
@@ -259,6 +261,27 @@ def _wide(value: Value) -> str:
     if not isinstance(value, Scalar):
         raise Unsupported("a whole table where a number is wanted")
     return value.code if value.wide else f"wide({value.code})"
+
+
+def emit_pass(pass_: Any) -> Kernel:
+    """Print a pass of a filter.
+
+    Args:
+        pass_: a `jaxblur.kernels.Pass`.
+
+    Returns:
+        The kernel that runs it where native code does.
+
+    Raises:
+        Unsupported: the program uses an operation or a type that has no form in C++ here.
+    """
+    traced = pass_.traced
+    sizes = 2 * sum(kind.channels > 0 for kind in traced.kinds)
+    local = tuple(traced.kinds[k] for k in traced.local)
+    operands = Operands(local, tuple(traced.kinds[k] for k in traced.tables), sizes)
+    if pass_.kind == "marks":
+        return emit_marks(traced.stages, operands)
+    return emit_gather(traced.stages, operands, pass_.kept)
 
 
 def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: bool = True) -> Kernel:
