@@ -59,13 +59,13 @@ KEYS = {"hard_cases": COLUMNS[:3], "transformations": transformations.COLUMNS[:2
 """Cells that name a row."""
 
 SUMMARY_COLUMNS = ("case", "filters", *COLUMNS[3:])
-TOO_FEW, ODD = "`samples` must be at least", "must be odd"
+TOO_FEW, ODD = "samples` must be at least", "must be odd"
 
 
 def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
     """The figures of one filter on one case."""
     frame, _ = jaxblur.finite_frame(case.frame, case.nonfinite)
-    settings = jaxblur.Settings(samples=case.samples, radius=case.radius, **MODES[fetch])
+    settings = jaxblur.GuertinSettings(samples=case.samples, radius=case.radius, **MODES[fetch])
     setup = measuring.Setup(name, settings)
     try:
         numbers = measuring.measure(setup, frame)

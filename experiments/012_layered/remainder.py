@@ -40,7 +40,7 @@ from scipy import ndimage
 import jaxblur
 from experiments import common
 from jaxblur import metrics, scenes
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.sampling import read_nearest, read_position
 
 SCENES = (
@@ -49,7 +49,8 @@ SCENES = (
 )
 SIZE, SHUTTER, TRUTH_SAMPLES = (144, 256), 1.0, 192
 TIMES, SUBPIXELS, MANY = 33, 8, 350
-PARAMETERS, SETTINGS = PUBLISHED["layered"]
+info = filter_info("layered")
+PARAMETERS, SETTINGS = info.make_parameters(), info.settings
 XLA = dataclasses.replace(SETTINGS, backend="xla")
 MISSING, JUMP = 0.1, 0.05
 

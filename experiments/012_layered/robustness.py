@@ -20,7 +20,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from jaxblur import metrics
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.reaching import fine_tile
 from jaxblur.fitting.objective import draw_noise
 
@@ -32,7 +32,8 @@ TURNING, SEAM_SIZE, SEAM_FRAMES = ("gears", "rotation_stress"), (184, 320), 5
 
 def blur(name: str, frame: jaxblur.Frame, seed: int | None) -> Any:
     """A filter as published, with the built-in noise or with noise of a seed, as displayed."""
-    parameters, settings = PUBLISHED[name]
+    info = filter_info(name)
+    parameters, settings = info.make_parameters(), info.settings
     noise = None if seed is None else draw_noise(jax.random.key(seed), SIZE)
     return metrics.display(FILTERS[name](frame, parameters, settings=settings, noise=noise))
 
@@ -105,7 +106,7 @@ def seams_of(name: str, time: float) -> float:
         difference = blur("layered", frame, None) - metrics.display(example.truth[part])
         return np.square(np.asarray(difference)).mean(axis=-1)
 
-    return seam_ratio(error, SEAM_SIZE, fine_tile(PUBLISHED["layered"][1].radius))
+    return seam_ratio(error, SEAM_SIZE, fine_tile(filter_info("layered").settings.radius))
 
 
 def seam_row(name: str) -> list[Any]:
