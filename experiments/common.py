@@ -1,4 +1,4 @@
-"""What several experiments share: options, frames with their truth, brief fits, tables."""
+"""Shared by several experiments: options, frames with their truth, brief fits, tables."""
 
 import argparse
 import csv
@@ -47,11 +47,11 @@ def output_parser(description: str, reference_data: str | None = None) -> argpar
 
     Args:
         description: of the experiment.
-        reference_data: what it does with rendered scenes; none are taken if None.
+        reference_data: help text of ``--reference-data``; without it there is no such option.
 
     Returns:
-        A parser with ``--output``, a folder that is made if it is not there, and perhaps
-        ``--reference-data``.
+        A parser with ``--output``, a folder that is created if it does not exist, and with
+        ``--reference-data`` if it was asked for.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
@@ -83,12 +83,12 @@ def catalogue_example(
         name: a key of `jaxblur.scenes.SCENES`.
         size: (height, width) in pixels.
         shutter: frames.
-        samples: of the truth.
+        samples: images averaged for the truth.
         time: frames.
-        path: whether the frame has displacements at opening and closing.
+        path: whether the frame also gets displacements at shutter opening and closing.
 
     Returns:
-        The example; its kind is that of the module that builds the scene.
+        The example; its kind is the name of the module that builds the scene.
     """
     builder = scenes.SCENES[name]
     scene = builder()
@@ -100,7 +100,7 @@ def catalogue_example(
 def cycles_examples(folder: Path, width: int, frame: int = 11) -> list[Example]:
     """Read rendered scenes as `full_size_examples` does, but reduced in size, without paths.
 
-    Color is averaged over blocks; depth and velocity are those in the middle of a block.
+    Color is averaged over blocks; depth and velocity are taken from the middle of each block.
 
     Args:
         folder: as `reference_truths`.
@@ -117,7 +117,7 @@ def cycles_examples(folder: Path, width: int, frame: int = 11) -> list[Example]:
 
 
 def full_size_examples(folder: Path, frame: int = 11) -> list[Example]:
-    """Read rendered scenes as `experiments/blender` lays them out, with curved paths.
+    """Read rendered scenes from the folders that `experiments/blender` writes, with curved paths.
 
     Args:
         folder: as `reference_truths`.
@@ -136,8 +136,8 @@ def reference_truths(folder: Path, frame: int = 11) -> list[Path]:
     """Find the true images of rendered scenes.
 
     Args:
-        folder: one sub-folder for each scene.
-        frame: number.
+        folder: holds one folder for each scene.
+        frame: frame number.
 
     Returns:
         One file for each scene.
@@ -152,7 +152,7 @@ def reference_truths(folder: Path, frame: int = 11) -> list[Path]:
 
 
 def reference_shutter(truth: Path) -> float:
-    """The shutter in frames of a rendered scene."""
+    """The shutter of a rendered scene, in frames."""
     camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
     return camera["shutter"]
 
@@ -181,11 +181,11 @@ def _block_means(image: np.ndarray, factor: int) -> jax.Array:
 
 
 class Refit(NamedTuple):
-    """What `refit` gives.
+    """Result of `refit`.
 
     Attributes:
         parameters: all of them, by name.
-        losses: before each step.
+        losses: the loss before each step.
     """
 
     parameters: dict[str, float]
@@ -202,19 +202,20 @@ def refit(
 ) -> Refit:
     """Fit parameters of guertin2014 briefly: Adam from the published values, without scans.
 
-    Minimizes the display error of the pixels that motion reaches, expected over the choice of
-    tile, with fresh jitter at each step. Compiles once for each settings and set of parameters.
+    Minimizes the display error of the pixels that motion reaches. The error is the expected value
+    over the choice of tile; the jitter is new at each step. Compiles once for each combination of
+    settings and free parameters.
 
     Args:
-        examples: of one size.
-        settings: of the run.
-        free: parameters to fit; the published ones if none.
-        fixed: values that differ from the published ones.
-        steps: of Adam.
-        seed: of the noise.
+        examples: all of one size.
+        settings: settings of the filter.
+        free: names of the parameters to fit; if empty, nothing is fitted.
+        fixed: values that replace published ones.
+        steps: number of steps of Adam.
+        seed: seed of the noise.
 
     Returns:
-        All parameters, and the losses on the way.
+        All parameters, and the loss before each step.
     """
     values = filter_info(GUERTIN).defaults | dict(fixed)
     if not free:
@@ -242,11 +243,11 @@ def refit(
 
 
 def mosaic(examples: Sequence[Example], columns: int) -> jaxblur.Frame:
-    """Lay frames of one size out side by side: a larger frame to measure time on.
+    """Arrange frames of one size in a grid: a larger frame to measure time on.
 
     Args:
-        examples: whose frames are repeated as needed.
-        columns: number of frames in a row, and of rows.
+        examples: their frames are repeated until the grid is full.
+        columns: number of frames in a row; the grid has as many rows.
 
     Returns:
         One frame.
@@ -265,10 +266,10 @@ def mean_and_interval(values: Iterable[float]) -> tuple[float, float]:
     """Mean, and half the width of its 95 % confidence interval by Student's t.
 
     Args:
-        values: independent figures, two or more.
+        values: two or more independent values.
 
     Returns:
-        Both.
+        The mean and the half width.
     """
     from scipy import stats
 
@@ -281,10 +282,10 @@ def write_table(folder: Path, name: str, columns: Sequence[str], rows: Sequence[
     """Write a table as CSV and as Markdown, and print it.
 
     Args:
-        folder: where to.
-        name: of the files without ending.
-        columns: heads.
-        rows: cells; numbers are written as they are in CSV, with three decimals in Markdown.
+        folder: folder of both files.
+        name: name of both files, without suffix.
+        columns: column headings.
+        rows: cells; floats have all their digits in CSV and three decimals in Markdown.
     """
     with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([columns, *rows])

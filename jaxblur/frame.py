@@ -25,7 +25,6 @@ longer for what turns by more than the straight displacement between frames show
 """
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -96,16 +95,22 @@ def check_frame(frame: Frame) -> Frame:
     return Frame(**{name: buffer.astype(dtype) for name, buffer in buffers.items()})
 
 
-def check_parameters(parameters: Any, kind: type) -> None:
-    """Refuse the parameters of another filter.
+def check_parameters(parameters: object, kind: type) -> None:
+    """Reject the parameters of another filter, and maps of parameters.
 
     Args:
-        parameters: what the filter was given.
+        parameters: as given to the filter.
         kind: the class that it takes.
 
     Raises:
-        ValueError: they are of another class.
+        ValueError: they are of another class, or one of them is not a scalar.
     """
     if not isinstance(parameters, kind):
         name, given = kind.__name__, type(parameters).__name__
         raise ValueError(f"`parameters` must be {name}, got {given}; pass {name}().")
+    for name, value in vars(parameters).items():
+        if jnp.shape(value):
+            raise ValueError(
+                f"`parameters.{name}` must be a scalar, got shape {jnp.shape(value)}; a value for "
+                "each pixel is not supported. For a batch of values use jax.vmap."
+            )

@@ -1,12 +1,12 @@
-"""Image metrics, each with its convention stated: PSNR, SSIM, FLIP, relative MSE, temporal error.
+"""Image metrics with explicit conventions: PSNR, SSIM, FLIP, relative MSE, temporal error.
 
-Figures in this project are made one way, by :func:`display`: keep RGB, apply the exact sRGB
-curve, clip to [0, 1], peak 1. :func:`compare` does that on linear images. The other functions
-take images as they are, so that they also serve as losses; all but :func:`flip` are
-differentiable JAX functions whose derivatives stay finite where two images agree.
+All numbers that this project reports use one display transform, :func:`display`: keep RGB, apply
+the exact sRGB curve, clip to [0, 1]; the peak is 1. :func:`compare` applies it to linear images.
+The other functions take images as they are, so that they can also be used as losses. All except
+:func:`flip` are differentiable JAX functions whose derivatives stay finite where two images agree.
 
-``mask`` is an (H, W) array of booleans that limits a mean to some pixels. A mask without any
-pixel gives NaN, except in :func:`compare`, which refuses it.
+``mask`` is an (H, W) array of booleans that limits a mean to some pixels. An empty mask gives NaN,
+except in :func:`compare`, which raises an error.
 """
 
 from typing import Any, NamedTuple
@@ -29,14 +29,14 @@ RELATIVE_FLOOR = 1e-2
 
 
 def rgb(image: Image) -> Float[jax.Array, "height width 3"]:
-    """Keep the color channels alone.
+    """Keep only the color channels.
 
     Args:
-        image: (H, W, C). Of more than three channels the first three are taken, which for
-            premultiplied RGBA is the image over black; one channel becomes gray.
+        image: (H, W, C). If there are more than three channels, the first three are taken, which
+            for premultiplied RGBA is the image over black; a single channel becomes gray.
 
     Returns:
-        (H, W, 3), values as they are.
+        (H, W, 3), values unchanged.
 
     Raises:
         ValueError: the image does not have 1 or at least 3 channels.
@@ -52,7 +52,7 @@ def rgb(image: Image) -> Float[jax.Array, "height width 3"]:
 
 
 def display(image: Image) -> Float[jax.Array, "height width 3"]:
-    """The stated display transform: RGB only, exact sRGB curve, clipped to [0, 1].
+    """Apply the project's display transform: RGB only, exact sRGB curve, clipped to [0, 1].
 
     Args:
         image: (H, W, C) linear light, channels as :func:`rgb` takes them.
@@ -78,7 +78,7 @@ def mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
         Scalar, at least 0.
 
     Raises:
-        ValueError: shapes differ; so does every measure here.
+        ValueError: shapes differ; every metric here raises this.
     """
     image, truth = _of_one_shape(image, truth)
     return _masked_mean(jnp.square(image - truth), mask)
@@ -88,9 +88,9 @@ def psnr(image: Image, truth: Image, peak: float = 1.0, mask: Mask | None = None
     """Peak signal-to-noise ratio, 10 log10(peak^2 / MSE).
 
     Args:
-        image: (H, W, C), for figures after :func:`display`.
+        image: (H, W, C), after :func:`display` for reported numbers.
         truth: (H, W, C) in the same units.
-        peak: the value that counts as full signal; 1 after :func:`display`.
+        peak: the value of full signal; 1 after :func:`display`.
         mask: (H, W) pixels to count, or None for all.
 
     Returns:
@@ -110,7 +110,7 @@ def relative_mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar
 
     Args:
         image: (H, W, C) linear light, a.
-        truth: (H, W, C) linear light, b. It is differentiated too.
+        truth: (H, W, C) linear light, b; differentiable too.
         mask: (H, W) pixels to count, or None for all.
 
     Returns:
@@ -148,8 +148,8 @@ def ssim(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
     """Structural similarity, mean over pixels and channels, for display values in [0, 1].
 
     Gaussian window of 11 x 11 with sigma 1.5, population covariance, constants 0.01 and 0.03,
-    range 1. Only pixels whose window lies inside the image count. These are scikit-image's
-    ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
+    range 1. Only pixels whose window lies inside the image count. In scikit-image these settings
+    are ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
 
     Args:
         image: (H, W, C), after :func:`display`.
@@ -184,7 +184,7 @@ def ssim(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
 def flip_map(
     image: Image, truth: Image, hdr: bool = False, pixels_per_degree: float = 67.0
 ) -> Float[np.ndarray, "height width"]:
-    """The FLIP error of every pixel: how visible the difference is when the two alternate.
+    """Compute FLIP per pixel: how visible the difference is when the two images alternate.
 
     Runs in NumPy through NVIDIA's ``flip_evaluator``; not differentiable.
 
@@ -192,11 +192,12 @@ def flip_map(
         image: (H, W, 3): display values in [0, 1] after :func:`display`, or with ``hdr`` linear
             Rec.709 light, not negative.
         truth: (H, W, 3) in the same units.
-        hdr: take the largest error over the exposures that the truth asks for (HDR-FLIP).
-        pixels_per_degree: of the viewer; 67 is a 0.7 m wide 4K monitor seen from 0.7 m.
+        hdr: take the largest error over a range of exposures derived from the truth (HDR-FLIP).
+        pixels_per_degree: pixels per degree of visual angle; 67 is a 0.7 m wide 4K monitor seen
+            from 0.7 m.
 
     Returns:
-        (H, W) in [0, 1], 0 is no visible difference.
+        (H, W) in [0, 1]; 0 means no visible difference.
 
     Raises:
         ValueError: shapes differ, or values are outside the range above or not finite.
@@ -206,7 +207,7 @@ def flip_map(
     """
     import flip_evaluator
 
-    # flip_evaluator takes writable C-ordered arrays only, and JAX arrays are read-only.
+    # flip_evaluator accepts only writable C-ordered arrays, and JAX arrays are read-only.
     image, truth = (np.array(array, np.float32, order="C") for array in (image, truth))
     _check_flip_input(image, truth, hdr)
     error, _, _ = flip_evaluator.evaluate(
@@ -233,13 +234,13 @@ def flip(
         truth: (H, W, 3) in the same units.
         mask: (H, W) pixels to count, or None for all.
         hdr: evaluate HDR-FLIP on linear light.
-        pixels_per_degree: of the viewer.
+        pixels_per_degree: pixels per degree of visual angle.
 
     Returns:
-        A float in [0, 1], 0 is no visible difference.
+        A float in [0, 1]; 0 means no visible difference.
 
     Raises:
-        ValueError: as :func:`flip_map`.
+        ValueError: as for :func:`flip_map`.
     """
     error = flip_map(image, truth, hdr, pixels_per_degree)
     return float(error.mean() if mask is None else error[np.asarray(mask)].mean())
@@ -250,13 +251,13 @@ def temporal_difference_error(
     truths: Float[jax.Array | np.ndarray, "frames height width channels"],
     mask: Mask | None = None,
 ) -> Float[jax.Array, " pairs"]:
-    """Flicker against the truth: RMS of (a[t] - a[t-1]) - (b[t] - b[t-1]), per pair of frames.
+    """Measure flicker against the truth: RMS of (a[t] - a[t-1]) - (b[t] - b[t-1]) per frame pair.
 
-    An error that stands still costs nothing, one that changes does. The pooled value is
+    A static error does not count, an error that changes over time does. The pooled value is
     ``sqrt(mean(error**2))``.
 
     Args:
-        images: (T, H, W, C), a, for figures after :func:`display`.
+        images: (T, H, W, C), a, after :func:`display` for reported numbers.
         truths: (T, H, W, C), b, in the same units.
         mask: (H, W) pixels to count in every pair, or None for all.
 
@@ -275,7 +276,7 @@ def temporal_difference_error(
 
 
 class Scores(NamedTuple):
-    """What :func:`compare` returns: PSNR in dB, SSIM (1 is equal), mean FLIP (0 is equal)."""
+    """Result of :func:`compare`: PSNR in dB, SSIM (1 is equal), mean FLIP (0 is equal)."""
 
     psnr: float
     ssim: float
@@ -283,9 +284,9 @@ class Scores(NamedTuple):
 
 
 def compare(image: Image, truth: Image, mask: Mask | None = None) -> Scores:
-    """PSNR, SSIM and FLIP of a linear image against a linear truth, as this project quotes them.
+    """Compute PSNR, SSIM and FLIP of linear images, as this project reports them.
 
-    Both are taken through :func:`display` first: RGB only, sRGB curve, clipped to [0, 1].
+    Both images pass through :func:`display` first: RGB only, sRGB curve, clipped to [0, 1].
 
     Args:
         image: (H, W, C) linear light.
@@ -293,7 +294,7 @@ def compare(image: Image, truth: Image, mask: Mask | None = None) -> Scores:
         mask: (H, W) pixels to count, for instance :func:`motion_footprint`; None for all.
 
     Returns:
-        The three figures as floats.
+        The three metrics as floats.
 
     Raises:
         ValueError: shapes differ, values are not finite, the mask is empty, or the image is
@@ -313,16 +314,16 @@ def compare(image: Image, truth: Image, mask: Mask | None = None) -> Scores:
 def motion_footprint(
     frame: Frame, threshold: float = 0.5, margin: int = 2
 ) -> Bool[np.ndarray, "height width"]:
-    """The pixels that motion reaches: where a blur can differ from the sharp frame.
+    """Find the pixels that motion reaches: those where blur can differ from the sharp frame.
 
-    Every pixel whose path reaches more than ``threshold`` from its place sweeps the pixels under
-    its path (``frame.path`` if present, else p - velocity .. p + velocity); the result is grown
-    by ``margin``. Runs in NumPy; not differentiable.
+    Every pixel whose path leads more than ``threshold`` away from it marks the pixels under its
+    path (``frame.path`` if present, else p - velocity .. p + velocity); the result is grown by
+    ``margin``. Runs in NumPy; not differentiable.
 
     Args:
         frame: one frame; only velocity and path are read.
-        threshold: pixels; slower points sweep nothing.
-        margin: number of times that the footprint grows into its four neighbors.
+        threshold: pixels; slower points mark nothing.
+        margin: number of times that the footprint grows by the four neighbors of its pixels.
 
     Returns:
         (H, W) True where motion reaches.
@@ -354,7 +355,7 @@ def _sweep(path: np.ndarray, moving: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _of_one_shape(image: Any, truth: Any) -> tuple[jax.Array, jax.Array]:
-    """Both as JAX arrays; they may not be stretched to each other's shape."""
+    """Convert both to JAX arrays of equal shape; broadcasting is not allowed."""
     image, truth = jnp.asarray(image), jnp.asarray(truth)
     if image.shape != truth.shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Per-pixel noise that turns banding into grain: where taps fall, which tile a pixel reads.
+"""Per-pixel noise that turns banding into grain: it shifts taps and the tile that a pixel reads.
 
 Noise is an input of every filter (departure 7 of the filter specification): pass a `Noise`, or
 let the filter build one of the kinds below. Tap noise and tile noise are independent.
@@ -40,28 +40,30 @@ class Noise:
 def interleaved_gradient(x: Int[np.ndarray, "*a"], y: Int[np.ndarray, "*b"]) -> Float[Array, "*c"]:
     """Interleaved gradient noise, ``frac(52.9829189 frac(0.06711056 x + 0.00583715 y))``.
 
-    In whole numbers, so that every program gives the same bits: in floating point the result hangs
-    on how products are fused with sums, and for large coordinates only three digits are right.
+    Computed in integers, so that every program gives the same bits: in floating point the result
+    depends on how products are fused with sums, and for large coordinates only three digits are
+    correct.
 
     Source: Jimenez, Next Generation Post Processing in Call of Duty, SIGGRAPH course 2014.
 
     Args:
-        x: columns of the pixels, at most 2^31 in size.
+        x: columns of the pixels, at most 2^31 in magnitude.
         y: rows of the pixels; broadcast against the columns.
 
     Returns:
-        Values in [0, 1), multiples of 2^-24; the formula to within 1e-7.
+        Values in [0, 1), multiples of 2^-24; within 1e-7 of the formula.
     """
     along_x, along_y = (_INNER_X * x) % _INNER_UNIT, (_INNER_Y * y) % _INNER_UNIT
     total = jnp.asarray(along_x, jnp.uint32) + jnp.asarray(along_y, jnp.uint32)
     inner = jnp.where(total >= _INNER_UNIT, total - _INNER_UNIT, total)
-    # The upper word of the product with 52.9829189 / 10^8 in units of 2^-56, without its integers.
+    # The upper word of the product with 52.9829189 / 10^8 in units of 2^-56, without its integer
+    # part.
     outer = lax.mulhi(inner << 4, jnp.full_like(inner, _OUTER)) & (2**24 - 1)
     return outer.astype(jnp.float32) * jnp.float32(2**-24)
 
 
 def _halton_block() -> np.ndarray:
-    """The first 64 x 64 Halton points in bases 2, 3, 5, laid out row by row."""
+    """Return the first 64 x 64 Halton points in bases 2, 3, 5, laid out row by row."""
     from scipy.stats import qmc
 
     points = qmc.Halton(d=3, scramble=False).random(_HALTON_BLOCK**2)
@@ -69,20 +71,20 @@ def _halton_block() -> np.ndarray:
 
 
 def _uniform(kind: NoiseKind, height: int, width: int) -> Float[Array, "{height} {width} 3"]:
-    """Three independent values in [0, 1) for every pixel."""
+    """Make three independent values in [0, 1) for every pixel."""
     if kind == "none":
         return jnp.full((height, width, 3), 0.5, jnp.float32)
     if kind == "halton":
         repeats = (-(-height // _HALTON_BLOCK), -(-width // _HALTON_BLOCK), 1)
         return jnp.tile(_halton_block(), repeats)[:height, :width]
     y, x = np.ogrid[:height, :width]
-    # Shifted copies of one pattern correlate (up to 0.7); turned ones do not.
+    # Shifted copies of one pattern correlate (up to 0.7); rotated copies do not.
     planes = [interleaved_gradient(x, y), interleaved_gradient(y, x), interleaved_gradient(y, -x)]
     return jnp.stack(planes, axis=-1)
 
 
 def make_noise(kind: NoiseKind, height: int, width: int) -> Noise:
-    """Built-in noise of one kind.
+    """Make built-in noise of one kind.
 
     Args:
         kind: ``ign`` (interleaved gradient noise), ``halton`` (bases 2, 3, 5 in a repeated
@@ -98,7 +100,7 @@ def make_noise(kind: NoiseKind, height: int, width: int) -> Noise:
 
 
 def resolve_noise(noise: Noise | None, kind: NoiseKind, height: int, width: int) -> Noise:
-    """The noise that was passed, with its shapes checked, or the built-in kind.
+    """Return the noise that was passed, after a check of its shapes, or the built-in kind.
 
     Args:
         noise: explicit noise, or None.
@@ -110,7 +112,7 @@ def resolve_noise(noise: Noise | None, kind: NoiseKind, height: int, width: int)
         Noise for a frame of this size.
 
     Raises:
-        TypeError: ``noise`` is something else.
+        TypeError: ``noise`` is neither a `Noise` nor None.
         ValueError: an array of ``noise`` has the wrong shape.
     """
     if noise is None:

@@ -1,11 +1,11 @@
-"""NaN and infinity in a frame: refused, or left out and counted.
+"""NaN and infinity in a frame: rejected, or left out and counted.
 
-A filter is a weighted mean, so that one infinite sample would take everything within its reach
-with it. What "ignore" does:
+A filter is a weighted mean, so one infinite sample would spoil every pixel within its reach.
+Effect of "ignore":
 
 - color: the sample is masked (`Frame.valid`) and contributes neither color nor weight; the pixel
-  itself becomes what the rest of its neighborhood gives.
-- velocity and path: the pixel counts as still, its color is kept.
+  itself is computed from the rest of its neighborhood.
+- velocity and path: the pixel counts as at rest, its color is kept.
 - depth: NaN and minus infinity count as sky; ``+inf`` is sky anyway.
 """
 
@@ -23,11 +23,11 @@ Nonfinite = Literal["error", "ignore"]
 
 @dataclasses.dataclass(frozen=True)
 class Ignored:
-    """How many pixels of a frame were not used as they are.
+    """Numbers of pixels of a frame whose values were replaced.
 
     Attributes:
         color: pixels that are masked, because a channel of their color is NaN or infinite.
-        velocity: pixels taken as still, because their velocity or path is.
+        velocity: pixels taken as still, because their velocity or path is NaN or infinite.
         depth: pixels taken as sky, because their depth is NaN or minus infinity.
     """
 
@@ -49,19 +49,19 @@ NONE_IGNORED = Ignored()
 
 
 def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame", Ignored]:
-    """Refuse NaN and infinity in the buffers of a frame, or leave those pixels out.
+    """Raise an error for NaN and infinity in the buffers of a frame, or leave those pixels out.
 
-    `read_frame` does the same for files; filters look at shapes only. Looks at values, so that it
-    cannot be called under ``jax.jit``.
+    `read_frame` does the same for files; filters check shapes only. This function reads values, so
+    it cannot be called under ``jax.jit``.
 
     Args:
         frame: color (H, W, C), depth (H, W) in scene units, velocity (H, W, 2) in pixels,
-            perhaps path and valid, as NumPy or JAX arrays.
+            optionally path and valid, as NumPy or JAX arrays.
         nonfinite: "error", or "ignore" as described in `jaxblur.nonfinite`.
 
     Returns:
-        The frame with finite buffers (but for sky, ``+inf`` in depth), the same frame if it was
-        so before, and the numbers of pixels that were left out.
+        The frame with finite buffers (except for sky, ``+inf`` in depth), and the numbers of pixels
+        that were left out. If there are none, the frame is the same object.
 
     Raises:
         ValueError: a buffer holds NaN or infinity and ``nonfinite`` is "error"; a depth is zero or
@@ -94,14 +94,14 @@ def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame
 
 
 def check_policy(nonfinite: str, *more: str) -> None:
-    """Refuse what is no policy.
+    """Check a value of ``nonfinite``.
 
     Args:
-        nonfinite: as the caller gave it.
-        *more: what is allowed besides "error" and "ignore".
+        nonfinite: value that the caller passed.
+        *more: values allowed besides "error" and "ignore".
 
     Raises:
-        ValueError: it is something else.
+        ValueError: the value is not allowed.
     """
     if nonfinite not in (known := ("error", "ignore", *more)):
         raise ValueError(f"`nonfinite` must be {' or '.join(known)}; got {nonfinite!r}.")
@@ -110,13 +110,13 @@ def check_policy(nonfinite: str, *more: str) -> None:
 def not_finite(
     values: Float[np.ndarray, "height width *components"],
 ) -> Bool[np.ndarray, "height width"]:
-    """Say which pixels hold NaN or infinity in any component.
+    """Find the pixels that hold NaN or infinity in any component.
 
     Args:
         values: (H, W, ...).
 
     Returns:
-        (H, W).
+        (H, W) True for such pixels.
     """
     components = tuple(range(2, values.ndim))
     return np.asarray(np.any(~np.isfinite(values), axis=components))

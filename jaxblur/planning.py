@@ -19,14 +19,13 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .filters.registry import filter_info
+from .filters.tiles import fastest_pixels, tile_max, tile_variance
 from .frame import Frame, check_frame
 from .settings import Settings
-from .tiles import tile_argmax, tile_max, tile_variance
 from .vectors import speed_statistics
 
 MOVING = 0.5
@@ -170,11 +169,12 @@ def _mean_where(chosen: np.ndarray, values: Any) -> float:
 def _layered(velocity: np.ndarray, depth: np.ndarray, radius: int) -> np.ndarray:
     """Whether a tile holds a pixel that differs from its fastest one in velocity and depth."""
     height, width = depth.shape
-    fastest = np.asarray(tile_argmax(jnp.asarray(_speed(velocity)), radius))
-    # The fastest pixel of its tile, for every pixel.
-    fastest = fastest.repeat(radius, axis=0).repeat(radius, axis=1)[:height, :width]
-    away = _speed(velocity - velocity.reshape(-1, 2)[fastest]) > DIFFERENT
-    other = depth.reshape(-1)[fastest]
+    # The velocity and depth of the fastest pixel of its tile, for every pixel.
+    found = np.asarray(fastest_pixels(velocity, radius))
+    found = found.repeat(radius, axis=0).repeat(radius, axis=1)[:height, :width]
+    row, column = found[..., 0], found[..., 1]
+    away = _speed(velocity - velocity[row, column]) > DIFFERENT
+    other = depth[row, column]
     # Sky is as deep as sky: infinity does not exceed infinity.
     apart = np.maximum(depth, other) > LAYERED * np.minimum(depth, other)
     marked = np.pad(away & apart, ((0, -height % radius), (0, -width % radius)))

@@ -69,3 +69,40 @@ def safe_normalize(
     unit_x, unit_y, _, is_zero = _scaled(x, y)
     inverse = 1 / jnp.sqrt(unit_x * unit_x + unit_y * unit_y)
     return jnp.where(is_zero, 0, unit_x * inverse), jnp.where(is_zero, 0, unit_y * inverse)
+
+
+def shortening(speed: Float[Array, "*shape"], radius: int) -> Float[Array, "*shape"]:
+    """Factor that clamps a vector to the radius, ``min(1, r / ||v||)``.
+
+    Args:
+        speed: norms in pixels.
+        radius: longest half-spread in pixels.
+
+    Returns:
+        Factors; the derivative at ``||v|| = r`` is 0, that of 1.
+    """
+    too_fast = speed > radius
+    return jnp.where(too_fast, radius / jnp.where(too_fast, speed, 1), 1)
+
+
+def clamp_speed(
+    velocity: Float[Array, "*shape 2"],
+    radius: int,
+    speed: Float[Array, "*shape"] | None = None,
+) -> tuple[Float[Array, "*shape 2"], Float[Array, "*shape"]]:
+    """Clamp half-spreads radially to the radius: ``v min(1, r / ||v||)``.
+
+    Source: Guertin et al. 2014, section 3.5. Never per component, which would turn vectors.
+    The derivative at ``||v|| = r`` is that of the identity.
+
+    Args:
+        velocity: (..., 2) half-spread in pixels.
+        radius: longest half-spread in pixels.
+        speed: (...) norm of the velocity, where it is known.
+
+    Returns:
+        The clamped velocity (..., 2), and its speed (...) in [0, radius]. All clamped vectors
+        have the same speed to the bit, so that they tie in a tile maximum.
+    """
+    speed = safe_norm(velocity[..., 0], velocity[..., 1]) if speed is None else speed
+    return velocity * shortening(speed, radius)[..., None], jnp.minimum(speed, radius)

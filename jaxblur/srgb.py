@@ -1,8 +1,8 @@
 """The exact piecewise sRGB curve, for NumPy and JAX arrays alike (IEC 61966-2-1:1999).
 
-Values are not clipped; negative ones follow the straight piece. The branch that is not taken gets
-a harmless input, so that derivatives are finite everywhere; at the joint the derivative is that
-of the straight piece.
+Values are not clipped; negative ones lie on the linear segment. The branch that is not taken gets a
+harmless input, so that derivatives are finite everywhere; at the joint the derivative is that of
+the linear segment.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ ENCODED_JOINT = 0.04045
 
 
 def encode(linear: Any) -> Any:
-    """Linear light to sRGB: 12.92 x up to x = 0.0031308, then 1.055 x^(1/2.4) - 0.055.
+    """Convert linear light to sRGB: 12.92 x up to x = 0.0031308, then 1.055 x^(1/2.4) - 0.055.
 
     Args:
         linear: NumPy or JAX array of any shape, linear light.
@@ -31,7 +31,7 @@ def encode(linear: Any) -> Any:
 
 
 def decode(encoded: Any) -> Any:
-    """SRGB values to linear light, the inverse of :func:`encode`.
+    """Convert sRGB values to linear light, the inverse of :func:`encode`.
 
     Args:
         encoded: NumPy or JAX array of any shape, sRGB values.

@@ -15,11 +15,12 @@
 # %% [markdown]
 # # A first blur
 #
-# A sharp frame, what its buffers mean, the blur, the truth, and how wrong the blur is.
+# This notebook shows a sharp frame, the meaning of its buffers, the blur, the truth, and the error
+# of the blur.
 #
-# The frame is a crop of one that Blender Cycles rendered: a cube that flies past a crate at about
-# 75 pixels per frame. The same shot was rendered once more with true motion blur, and that is the
-# truth here. Everything runs on the CPU.
+# The frame is a crop of a Blender Cycles render: a cube flies past a crate at about 75 pixels per
+# frame. The same shot was also rendered with true motion blur; that image is the truth here.
+# Everything runs on the CPU.
 
 # %%
 from pathlib import Path
@@ -43,7 +44,8 @@ SHUTTER = 0.5  # the camera is open for half of a frame
 #
 # - **color** is linear light: twice the number is twice the light. Blur averages light, so it must
 #   not be done on sRGB values.
-# - **depth** is the distance along the view axis, sky is infinite. It says what hides what.
+# - **depth** is the distance along the view axis; the sky is at infinity. It determines which surface
+#   hides which.
 # - **velocity** is the *half-spread* in pixels, x to the right, y down: while the shutter is open
 #   the point covers `p - velocity .. p + velocity`.
 
@@ -53,9 +55,9 @@ truth = exr.read_image(DATA / "cube_over_crates_truth_0011.exr")
 show.frame_sheet(frame)
 
 # %% [markdown]
-# In the lower left picture hue says where to and saturation how fast: the cube moves to the right
-# and a little up, the wall and the crate stand still and are white. In the lower right one an arrow is as long
-# as the streak that its pixel will leave.
+# In the lower left picture, hue shows the direction and saturation the speed: the cube moves to the
+# right and a little up; the wall and the crate do not move and are white. In the lower right picture,
+# each arrow is as long as the streak that its pixel will leave.
 
 # %%
 row, column = 40, 80
@@ -66,9 +68,9 @@ print(f"during the exposure (y down), and is {float(frame.depth[row, column]):.1
 # %% [markdown]
 # ## The blur
 #
-# Parameters are what can be fitted and differentiated; settings are what is compiled in. Both have
-# the published values unless you say otherwise. A `depth_sharpness` of 10 tells surfaces apart
-# whose depths differ by 10 percent; the published 1 needs a factor of two.
+# Parameters can be fitted and differentiated; settings are compiled in. Both default to the published
+# values. With a `depth_sharpness` of 10 the filter separates surfaces whose depths differ by 10
+# percent; with the published value of 1 they must differ by a factor of two.
 
 # %%
 parameters = jaxblur.GuertinParameters(depth_sharpness=10.0)
@@ -77,11 +79,11 @@ blurred = jaxblur.guertin2014(frame, parameters, settings=settings)
 show.before_after(frame.color, blurred, truth, name="guertin2014", limit=0.6)
 
 # %% [markdown]
-# ## How wrong it is
+# ## The error
 #
 # [FLIP](https://research.nvidia.com/publication/2020-07_flip) models how visible the difference is
-# when one alternates between two pictures: 0 is none. PSNR is in decibels, more is better. Both are
-# taken on display values (sRGB, clipped to 0..1).
+# when a viewer alternates between two pictures; 0 means no difference. PSNR is in decibels; higher is
+# better. Both are computed on display values (sRGB, clipped to 0..1).
 
 # %%
 for name, image in {"sharp": frame.color, "guertin2014": blurred}.items():
@@ -89,17 +91,17 @@ for name, image in {"sharp": frame.color, "guertin2014": blurred}.items():
     print(f"{name:12} PSNR {scores.psnr:5.2f} dB, SSIM {scores.ssim:.3f}, FLIP {scores.flip:.3f}")
 
 # %% [markdown]
-# The error that is left sits along the borders of the cube. Behind a moving border the filter must
-# show what the sharp frame hides, and it has to guess; its weights also favor the middle of a
-# streak, where the true blur is even. More samples do not mend either.
+# The remaining error lies along the borders of the cube. Behind a moving border the filter must show
+# background that the sharp frame hides, so it has to guess. Its weights also favor the middle of a
+# streak, while the true blur is even along the streak. More samples correct neither.
 
 # %%
 show.error_map(blurred, truth, kind="display")
 
 # %% [markdown]
-# ## Where to go on
+# ## Next
 #
-# - `02_how_the_filter_sees` opens the filter up.
+# - `02_how_the_filter_sees` shows the steps inside the filter.
 # - `05_your_own_exr` reads files of other renderers.
-# - `jaxblur.scenes` renders more frames with truth, without any renderer:
+# - `jaxblur.scenes` makes more frames with truth, and needs no external renderer:
 #   `scenes.render(scenes.SCENES["gears"]())`.

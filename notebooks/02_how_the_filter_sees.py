@@ -15,8 +15,9 @@
 # %% [markdown]
 # # How the filter sees a frame
 #
-# `guertin2014` decides for each pixel along which lines to look for color, and how much of what it
-# finds there counts. This notebook draws both, with the functions that the filter itself runs.
+# For each pixel, `guertin2014` chooses the lines along which it gathers color, and the weight of each
+# color on them. This notebook draws the lines and the weights with the functions that the filter
+# itself runs.
 #
 # Source: Guertin, McGuire, Nowrouzezahrai 2014, *A Fast and Stable Feature-Aware Motion Blur
 # Filter*.
@@ -40,9 +41,10 @@ settings = jaxblur.Settings(samples=25, radius=20)
 # %% [markdown]
 # ## Tiles
 #
-# A pixel of the still wall must know that a cube flies by, or nothing would blur over it. So the
-# image is cut into tiles as large as the longest blur. *TileMax* is the fastest velocity in a tile,
-# *NeighborMax* the fastest in its 3 x 3 ring: the **dominant velocity** of all pixels of the tile.
+# The cube must blur over pixels of the still wall, so these pixels need the velocity of the cube that
+# flies by. The image is therefore divided into tiles as large as the longest blur. *TileMax* is the
+# fastest velocity in a tile, *NeighborMax* the fastest in its 3 x 3 ring of tiles: the **dominant
+# velocity** of all pixels of the tile.
 
 # %%
 figure = show.new_figure(10, 3.9)
@@ -54,14 +56,14 @@ figure
 # %% [markdown]
 # ## Two directions, taps and weights
 #
-# Half of the taps go along the dominant velocity, half along the **center direction**: the pixel's
-# own velocity where it moves, the perpendicular of the dominant one where it stands. A dot's area is
-# the weight of the texel, the ring is the pixel itself, and a cross without a dot is a tap that does
-# not count.
+# Half of the taps lie along the dominant velocity, half along the **center direction**: the pixel's
+# own velocity if it moves, the perpendicular of the dominant velocity if it does not. The area of a
+# dot is the weight of the texel, the ring is the pixel itself, and a cross without a dot is a tap of
+# weight 0.
 #
-# Left: a pixel of the cube, whose two directions agree. Right: a pixel of the still wall beside
-# the cube. There the center direction is the perpendicular, and of the taps those on the cube count,
-# as far as the cube's streaks reach.
+# Left: a pixel of the cube, whose two directions agree. Right: a pixel of the still wall beside the
+# cube. There the center direction is the perpendicular, and the taps on the cube have weight, as far
+# as the cube's streaks reach.
 
 # %%
 speed = np.linalg.norm(np.asarray(frame.velocity), axis=-1)
@@ -75,8 +77,8 @@ for (row, column), axes in zip(places, figure.subplots(1, 2), strict=True):
 figure
 
 # %% [markdown]
-# The weights are no second implementation: a filter's output is linear in color, so they are the
-# derivative of the pixel with respect to the color. They sum to 1.
+# The weights do not need a second implementation: the output of the filter is linear in color, so the
+# weights are the derivatives of the pixel with respect to the colors. They sum to 1.
 
 # %%
 weights = show.texel_weights("guertin2014", frame, *places[1], settings=settings)
@@ -88,15 +90,17 @@ print(
 # %% [markdown]
 # ## What each parameter does
 #
-# A part of the picture for each value, the other parameters as published. Parameters are traced: none of
-# these pictures recompiles anything.
+# The pictures show the same part of the frame for three values of each parameter, with the others as
+# published. Parameters are traced, so none of these pictures recompiles anything.
 #
-# - **kappa** divides the weight of the pixel's own color. Small: the sharp picture shines through.
-# - **gamma** is the speed in pixels over which the center direction turns from the perpendicular to
-#   the pixel's own velocity. It matters for slow pixels only, of which this frame has few.
-# - **tau** is how far, in tiles, a pixel may look for another tile's velocity. 0 shows the tiles,
-#   1 hides them in noise.
-# - **phi** scales the jitter of the taps: 0 shows each tap as a ghost, more turns that into noise.
+# - **kappa** divides the weight of the pixel's own color. If it is small, the sharp picture shows
+#   through.
+# - **gamma** is the range of speeds, in pixels, over which the center direction turns from the
+#   perpendicular to the pixel's own velocity. It only affects slow pixels, of which this frame has few.
+# - **tau** is the distance, in tiles, within which a pixel may use the velocity of another tile. With 0
+#   the tiles are visible, with 1 noise hides them.
+# - **phi** scales the jitter of the taps. With 0 each tap is visible as a ghost; larger values turn the
+#   ghosts into noise.
 
 
 # %%
@@ -123,9 +127,9 @@ show.image_grid(images, columns=3, width=9)
 
 
 # %% [markdown]
-# ## Play
+# ## Try values
 #
-# With a live kernel these are sliders; the picture follows when you let go.
+# With a live kernel these are sliders; the picture changes when you release one.
 
 
 # %%

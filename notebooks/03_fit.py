@@ -15,9 +15,9 @@
 # %% [markdown]
 # # Fitting the parameters
 #
-# The published parameters were chosen by eye. With frames whose true blur is known, the filter's
-# derivatives choose them: here on two frames, with a third one held out to see whether it helped
-# there too.
+# The published parameters were chosen by eye. If the true blur of some frames is known, gradient
+# descent can choose them. Here two frames are fitted, and a third one is held out to see whether the
+# fit improves it too.
 
 # %%
 from pathlib import Path
@@ -46,11 +46,10 @@ settings = jaxblur.Settings(samples=11, radius=20)
 # %% [markdown]
 # ## The fit
 #
-# `fit` minimizes the error of what will run: for the stochastic tile choice that is the expected
-# error over all tiles that a pixel may read, exactly. `mask="moving"` counts only what motion
-# reaches, `pixel="display"` counts as a viewer sees it. Two parameters and
-# 12 steps keep this notebook quick; the
-# default is 100.
+# `fit` minimizes the error of the filter with exactly these settings. With the stochastic tile choice
+# that is the expected error over all tiles that a pixel may read. `mask="moving"` counts only pixels
+# that motion reaches; `pixel="display"` measures the error on display values, as a viewer sees them.
+# Two parameters and 12 steps keep this notebook fast; the default is 100 steps.
 
 # %%
 result = jaxblur.fit(
@@ -73,8 +72,8 @@ for name in result.free:
 # %% [markdown]
 # ## Curves
 #
-# The values do not start at the published ones: a coarse scan looks for a good start first. Each step
-# draws fresh noise, so the loss need not fall at every step; mind the scale of its axis.
+# The fit does not start at the published values: a coarse scan finds a good start first. Each step
+# draws new noise, so the loss need not fall at every step; note the small range of its axis.
 
 # %%
 figure = show.new_figure(10, 3.2)
@@ -91,7 +90,7 @@ figure
 # %% [markdown]
 # ## Held out
 #
-# The figure that counts is that of the frame that the fit has never seen.
+# The score that matters is that of the frame that was not fitted.
 
 # %%
 for part in ("train", "held-out"):
@@ -100,14 +99,14 @@ for part in ("train", "held-out"):
         print(f"{part:9} {label:10} PSNR {psnr:5.2f} dB, FLIP {flip:.4f}, where something moves")
 
 # %% [markdown]
-# A gain on the training frames without one here would be overfitting. With three frames nothing is
-# proved: experiment 006 leaves each scene of a catalogue out in turn, with intervals.
+# A gain on the training frames without a gain on the held-out frame would be overfitting. Three frames
+# prove nothing: experiment 006 leaves out each of six scenes in turn, and has confidence intervals.
 
 # %% [markdown]
 # ## Do the frames determine the parameters?
 #
-# The profile of a parameter is the loss along it, the others held. A flat profile means that the
-# frames do not say what the value should be, however many digits the fit prints.
+# The profile of a parameter is the loss as a function of it, with the others fixed. A flat profile
+# means that the frames do not determine the value, however many digits the fit prints.
 
 # %%
 training = [p for index, p in enumerate(pairs) if index != HELD_OUT]
@@ -122,7 +121,8 @@ show.curves(
 )
 
 # %% [markdown]
-# The same question in numbers: standard errors, and warnings in words where there is reason.
+# The same question in numbers: standard errors, and a warning for each parameter that the frames do
+# not determine.
 
 # %%
 sensitivity = result.sensitivity
@@ -139,5 +139,5 @@ fitted = jaxblur.guertin2014(frame, result.filter_parameters, settings=settings)
 show.before_after(frame.color, fitted, truth, name="fitted", limit=0.4)
 
 # %% [markdown]
-# `result.save("fitted.toml")` keeps parameters, scores, settings and versions;
-# `jaxblur blur beauty.exr -o blurred.exr --parameters fitted.toml` uses them.
+# `result.save("fitted.toml")` saves parameters, scores, settings and versions;
+# `jaxblur blur beauty.exr -o blurred.exr --parameters fitted.toml` uses the file.

@@ -9,9 +9,9 @@
 # %% [markdown]
 # # Speed against error
 #
-# More taps cost more time. Which settings are worth theirs? The picture below is small and its times
-# are those of the machine that ran the notebook, busy or not: read the shape, not the numbers. For
-# numbers there is `jaxblur bench` and the experiments.
+# More taps cost more time. Which settings are worth their time? The picture below is small, and its
+# times are those of the machine that ran the notebook, which may have been busy: read the shape of the
+# curve, not the numbers. For reliable numbers see `jaxblur bench` and the experiments.
 
 # %%
 import time
@@ -34,12 +34,12 @@ truth = exr.read_image(DATA / "cube_over_crates_truth_0011.exr")
 # %% [markdown]
 # ## Measure
 #
-# Compilation is not counted: the first call compiles, then the shortest of several calls is taken,
-# because a machine can only ever make a run slower.
+# Compilation is not counted: the first call compiles. The result is the shortest of several further
+# calls, because other load on the machine only makes calls longer.
 
 # %%
 ROUNDS = 7
-STARS = ("guertin2014", "mcguire2012")  # whose defaults are what their authors published
+STARS = ("guertin2014", "mcguire2012")  # their defaults are the published values
 PARAMETERS = jaxblur.GuertinParameters(depth_sharpness=10.0)
 
 
@@ -72,26 +72,28 @@ points += [
     for samples in (5, 15)
 ]
 points += [
-    measure(info.name, info.make_parameters(), "defaults", info.name in STARS, **vars(info.settings))
+    measure(
+        info.name, info.make_parameters(), "defaults", info.name in STARS, **vars(info.settings)
+    )
     for info in map(filter_info, jaxblur.FILTERS)
 ]
 show.pareto(points, time_label="milliseconds, 160 x 112 pixels", labels="all")
 
 # %% [markdown]
-# The gray line is the front: nothing is both quicker and better than a point on it. Two things are
-# worth knowing about such pictures. Error levels off: beyond some number of taps a filter is wrong
-# for reasons that taps do not mend. And FLIP is a mean over the frame: `pixel_velocity` can score
-# well and still cut blur off at the outline of a moving object, which a viewer sees at once.
+# The gray line is the Pareto front: no setting is both faster and better than a point on it. Two
+# properties of such pictures matter. The error levels off: beyond some number of taps it has causes
+# that more taps do not remove. And FLIP is a mean over the frame: `pixel_velocity` can score well and
+# still cut off the blur at the outline of a moving object, which a viewer sees at once.
 
 # %%
 for point in show.pareto_front(points):
     print(f"{point.group:15} {point.label:14} {point.time:6.2f} ms  FLIP {point.error:.4f}")
 
 # %% [markdown]
-# ## Look at what was paid for
+# ## Compare the pictures
 #
-# Three taps are grain. `pixel_velocity` looks smooth, but its cube ends where the sharp cube ends: a
-# pixel of the wall has no velocity, so nothing of the cube ever blurs over it.
+# With three taps the blur is grainy. `pixel_velocity` looks smooth, but its cube ends where the sharp
+# cube ends: a pixel of the wall has no velocity, so the cube never blurs over it.
 
 # %%
 images = {
@@ -106,8 +108,8 @@ show.image_grid(images | {"pixel_velocity, 15 taps": plain, "truth": truth}, col
 # %% [markdown]
 # ## Let the frame choose
 #
-# `plan` looks at speeds, angles and depth layers of a frame and picks the cheapest filter that it
-# expects to stay within a tolerance of `layered`. It says why, and what it expects to lose.
+# `plan` reads the speeds, angles and depth layers of a frame, and chooses the fastest filter whose
+# expected error is within a tolerance of that of `layered`. It prints its reason and the expected loss.
 
 # %%
 planned = jaxblur.plan(frame, tolerance_db=0.5)
@@ -118,8 +120,8 @@ for name, image in {"planned": result, "full filter": full}.items():
     print(f"{name:12} PSNR {metrics.compare(image, truth).psnr:.2f} dB")
 
 # %% [markdown]
-# A radius longer than the fastest pixel only makes tiles larger; `jaxblur blur --radius auto` takes
-# it from the frame, and so does this:
+# A radius above the largest speed only makes tiles larger. `jaxblur blur --radius auto` takes the
+# radius from the frame, and so does this cell:
 
 # %%
 print(jaxblur.vectors.speed_statistics(np.asarray(frame.velocity)).suggested_radius, "px")

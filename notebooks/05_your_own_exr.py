@@ -15,9 +15,9 @@
 # %% [markdown]
 # # Your own EXR files
 #
-# What to check before trusting a blur: which channels were read, in which convention the motion
-# vectors are, and whether the sign is right. Then a sequence. Put a file of your own in place of
-# `NOW` and `NEXT` and run it again.
+# Before you trust a blur, check which channels were read, which convention the motion vectors follow,
+# and whether their sign is right. This notebook shows these checks, and then blurs a sequence. Set
+# `NOW` and `NEXT` to files of your own and run it again.
 
 # %%
 import tempfile
@@ -48,9 +48,10 @@ for part in info.parts:
 # %% [markdown]
 # ## How it was read
 #
-# Renderers disagree about vectors: pixels or shares of the width, y up or down, per frame or per
-# shutter, to the next frame or from the last. A preset knows one convention; `auto` recognizes it by
-# the names of the channels and says which rule decided.
+# Renderers write vectors in different conventions: in pixels or as shares of the width, with y up or
+# down, per frame or per shutter, to the next frame or from the last. A preset describes one
+# convention. `auto` recognizes the preset by the names of the channels, and reports the rule that
+# decided.
 
 # %%
 buffers = exr.read_buffers(NOW, "auto", SHUTTER)
@@ -69,9 +70,9 @@ for preset in vectors.PRESETS.values():
 # %% [markdown]
 # ## The sign check
 #
-# A wrong sign or unit blurs in a plausible direction that is wrong, so do not judge it by eye. If the
-# vectors of a frame are right, the next frame warped back along them looks like the frame. Here all
-# conventions are tried and ranked by how well they explain the next frame.
+# With a wrong sign or unit the blur is wrong but looks plausible, so do not judge it by eye. If the
+# vectors of a frame are right, the next frame, warped back along them, looks like the frame. This cell
+# tries all conventions and ranks them by the difference that remains.
 
 # %%
 now, following = exr.read_image(NOW), exr.read_image(NEXT)
@@ -88,10 +89,10 @@ for candidate in ranking.candidates[:4]:
     )
 
 # %% [markdown]
-# The best candidate should be far below the error of no motion, and be the convention that was read.
-# On the command line: `jaxblur vectors NOW --next NEXT`.
+# The error of the best candidate should be far below the error without motion, and its convention
+# should be the one that was read. On the command line: `jaxblur vectors NOW --next NEXT`.
 #
-# ## Look at them
+# ## The vectors as a picture
 
 # %%
 frame = jaxblur.Frame(buffers.color, buffers.depth, buffers.velocity)
@@ -100,10 +101,9 @@ show.frame_sheet(frame)
 # %% [markdown]
 # ## A sequence
 #
-# Every frame is blurred on its own: nothing is carried over, so frames may run in any order and on
-# any machine. Equal settings and sizes compile once. `write_image(..., like=...)` keeps windows,
-# metadata and all other channels of the source, and a file appears under its name only when it is
-# whole.
+# Every frame is blurred independently, so frames may run in any order and on any machine. Equal
+# settings and sizes compile once. `write_image(..., like=...)` keeps windows, metadata and all other
+# channels of the source, and a file appears under its name only when it is complete.
 
 # %%
 statistics = vectors.speed_statistics(buffers.velocity)
@@ -123,13 +123,13 @@ with tempfile.TemporaryDirectory() as folder:
 show.image_grid(images)
 
 # %% [markdown]
-# On the command line one frame is `jaxblur blur beauty.0011.exr -o blurred.0011.exr --radius auto`;
-# `jaxblur blur --help` lists the presets and the options for files that no preset knows.
+# On the command line, `jaxblur blur beauty.0011.exr -o blurred.0011.exr --radius auto` blurs one
+# frame; `jaxblur blur --help` lists the presets and the options for files that no preset describes.
 #
-# ## What no file can tell
+# ## Problems that these checks do not find
 #
-# - Vectors that a renderer averaged over a pixel's samples are mixed at silhouettes. Ask for
-#   unfiltered ones where you can.
-# - Shadows, reflections and what is seen through glass do not move with the vector of their pixel.
-# - If motion blur was on while the vectors were rendered, some renderers leave them empty.
-#   `jaxblur info` shows how fast things move: zero everywhere is a hint.
+# - Vectors that a renderer averaged over a pixel's samples are mixed at silhouettes. If you can, render
+#   unfiltered vectors.
+# - Shadows, reflections and objects behind glass do not move with the vector of their pixel.
+# - Some renderers write empty vectors if motion blur was on during rendering. `jaxblur info` shows the
+#   speeds: zero everywhere is a sign of this.

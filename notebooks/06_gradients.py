@@ -15,9 +15,9 @@
 # %% [markdown]
 # # Gradients, and the inverse problem
 #
-# Every filter here is a differentiable function of color, depth, velocity and its parameters. First
-# the gradient images, then what they are good for: finding the motion that explains a blurred
-# picture. That problem has more than one answer, and this notebook shows which.
+# Every filter of jaxblur is a differentiable function of color, depth, velocity and its parameters.
+# This notebook first shows gradient images, then uses gradients to find the motion that explains a
+# blurred picture. That problem has more than one solution, and the last section shows where.
 
 # %%
 from pathlib import Path
@@ -42,7 +42,8 @@ parameters = jaxblur.GuertinParameters(depth_sharpness=10.0)
 # ## Gradient images
 #
 # How would the squared error against the truth change if the velocity or the depth of one pixel
-# changed? Bilinear fetch is needed: a texel that is only read whole does not feel where a tap lies.
+# changed? This needs bilinear fetch: with nearest fetch, a small shift of a tap does not change the
+# color that it reads, so that derivative is 0.
 
 # %%
 color, truth = frame.color[..., :3], truth[..., :3]
@@ -79,19 +80,19 @@ figure.colorbar(picture, ax=right)
 figure
 
 # %% [markdown]
-# Read these with care. Depth matters only where two surfaces meet within reach of a blur. A few
-# pixels of the velocity image stand out: they are the fastest of their tiles, whose velocity all
-# pixels around them use, and they take the whole derivative of that maximum. And neither image knows
-# what happens when a tap crosses a silhouette, because velocity and depth are read at the nearest
-# texel: those jumps have no derivative.
+# Read these images with care. Depth matters only where two surfaces meet within reach of a blur. A few
+# pixels of the velocity image stand out: they are the fastest of their tiles. All pixels around them
+# use their velocity, and they get the whole derivative of that maximum. Neither image includes the
+# effect of a tap that crosses a silhouette: velocity and depth are read at the nearest texel, and
+# these jumps have no derivative.
 
 # %% [markdown]
 # ## The inverse problem
 #
 # Given the sharp picture and a blurred one, find the velocities. We make the blurred picture with a
-# known field, a pan with some zoom and shear over a flat depth, so that we can tell how well it
-# is recovered. The unknown is a grid of 3 x 4 velocities, interpolated over the image: a free vector
-# for every pixel would explain anything.
+# known field, a pan with some zoom and shear over a flat depth, so that we can measure how well it is
+# recovered. The unknown is a grid of 3 x 4 velocities, interpolated over the image: with a free vector
+# for every pixel, almost any picture could be explained.
 
 # %%
 height, width = frame.depth.shape
@@ -140,13 +141,13 @@ figure
 # %% [markdown]
 # ## Where it is ambiguous
 #
-# - **The sign.** `v` and `-v` leave the same streak. Started on the other side, the descent finds the
-#   negative field with the same loss. Nothing in one picture can tell the two apart.
-# - **The start.** From a standstill nothing is found: pixels whose neighborhood moves by half a pixel
-#   or less are returned as they are, so the derivative there is exactly 0. Begin with some motion.
-# - **Flat color.** Where the picture does not change along the motion, blur leaves it as it is, and
-#   the loss does not depend on the velocity. The grid fills such places in from around them; the map
-#   below shows how little the loss says in which place.
+# - **The sign.** `v` and `-v` leave the same streak. From a start with the opposite sign, the descent
+#   finds the negative field with the same loss. One picture cannot distinguish the two.
+# - **The start.** From zero velocity nothing is found: pixels whose neighborhood moves by half a pixel
+#   or less are returned unchanged, so the derivative there is exactly 0. Start with some motion.
+# - **Flat color.** Where the picture does not change along the motion, blur does not change it, and the
+#   loss does not depend on the velocity. In such places the grid interpolates from their surroundings.
+#   The left map below shows how much the picture depends on the velocity at each place.
 
 # %%
 velocity = found["start (2, 1)"][0]
@@ -161,6 +162,6 @@ right.set_title(f"error of the recovered field, up to {float(distance.max()):.1f
 figure
 
 # %% [markdown]
-# And all of this had the right model: the target was made by the same filter over one flat depth. On
-# a photograph the filter itself is wrong by more than the last digits of such a fit, occlusion makes
-# the loss jump, and where several layers overlap no single velocity explains a pixel.
+# All of this used the right model: the target was made by the same filter over one flat depth. On a
+# photograph, the error of the filter itself is larger than the last digits of such a fit, occlusion
+# makes the loss jump, and where several layers overlap, no single velocity explains a pixel.

@@ -1,4 +1,4 @@
-"""Chromium without a window, for tests of pages."""
+"""Headless Chromium, for tests of pages."""
 
 import contextlib
 import shutil
@@ -20,7 +20,7 @@ ARGUMENTS = [
 
 @contextlib.contextmanager
 def chromium():
-    """Start the system's Chromium; skip the test where there is none."""
+    """Start the system's Chromium; skip the test if there is none."""
     driver = pytest.importorskip("playwright.sync_api", reason="needs playwright, of jaxblur[dev]")
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:

@@ -12,7 +12,7 @@ COMPUTING = ("blur", "demo", "fit", "scene")
 
 
 class Outcome(NamedTuple):
-    """What a command left behind."""
+    """Status and output of a command."""
 
     status: int
     out: str

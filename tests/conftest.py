@@ -6,7 +6,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 
-# Installed before anything imports these modules: beartype then checks the array annotations.
+# Installed before any import of these modules, so that beartype checks the array annotations.
 install_import_hook(
     [
         "jaxblur.filters",

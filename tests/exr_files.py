@@ -1,4 +1,4 @@
-"""Small EXR files for tests, written with OpenImageIO alone: they judge jaxblur's own I/O."""
+"""Small EXR files for tests, written with OpenImageIO alone so that they can test jaxblur's I/O."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ CAR = DATA / "sky_car_frame_0011.exr"
 def make_spec(
     channels, types: str | list[str] = "float", name="", origin=(0, 0), display=None, **attributes
 ):
-    """A header for ``{channel: (H, W) array}``; ``types`` is one name or one per channel."""
+    """Make a header for ``{channel: (H, W) array}``; ``types`` is one name or one per channel."""
     height, width = next(iter(channels.values())).shape
     kinds = [types] * len(channels) if isinstance(types, str) else list(types)
     widest = "float" if len(set(kinds)) > 1 else kinds[0]
@@ -53,7 +53,7 @@ def write_single(path, channels, types: str | list[str] = "float", **options):
 
 
 def read_raw(path, part=0, kind="native"):
-    """All pixels of a part as stored, with its header."""
+    """Read all pixels of a part as stored, with its header."""
     source = oiio.ImageInput.open(str(path))
     assert source is not None and source.seek_subimage(part, 0), oiio.geterror()
     spec = source.spec()
@@ -63,7 +63,7 @@ def read_raw(path, part=0, kind="native"):
 
 
 def read_stored(path, channel, kind):
-    """One channel of the first part, converted to nothing if ``kind`` is its own type."""
+    """Read one channel of the first part as ``kind``, without conversion if that is its type."""
     source = oiio.ImageInput.open(str(path))
     assert source is not None, oiio.geterror()
     index = source.spec().channelindex(channel)
@@ -84,7 +84,7 @@ def write_bytes(path, pixels):
 
 
 def plain_frame(shape=(4, 6), seed=0):
-    """Color, depth and jaxblur velocity channels of a valid frame."""
+    """Make color, depth and jaxblur velocity channels of a valid frame."""
     generator = np.random.default_rng(seed)
     channels = {name: generator.random(shape, np.float32) for name in "RGB"}
     channels["Z"] = generator.uniform(1, 9, shape).astype(np.float32)

@@ -1,4 +1,4 @@
-"""A smooth moving picture, blurred with known parameters: what a fit must find again."""
+"""A smooth moving picture, blurred with known parameters that a fit must recover."""
 
 import functools
 
@@ -23,7 +23,7 @@ SETTINGS = jaxblur.GuertinSettings(samples=7, radius=16, fetch="bilinear", tile_
 
 @functools.cache
 def smooth_frame(seed=0):
-    """Blobs of color, depth and velocity, still at the left."""
+    """Make blobs of color, depth and velocity, at rest on the left."""
     generator = np.random.default_rng(seed)
 
     def blobs(size, channels):
@@ -39,7 +39,7 @@ def smooth_frame(seed=0):
 
 @functools.cache
 def planted_pair(seed=0):
-    """A frame, and what the filter makes of it with the true parameters."""
+    """Make a frame, and the filter's result for it with the true parameters."""
     frame = smooth_frame(seed)
     truth = jaxblur.guertin2014(frame, jaxblur.GuertinParameters(**TRUE), settings=SETTINGS)
     return frame, truth

@@ -36,7 +36,7 @@ def test_a_blender_frame_becomes_a_frame():
     assert (np.linalg.norm(half, axis=-1) >= speed - 1e-4).all(), "an arc is longer than its chord"
 
 
-def test_buffers_say_what_was_decided():
+def test_buffers_record_the_decisions():
     buffers = exr.read_buffers(CUBE)
     assert buffers.color_channels == tuple(f"ViewLayer.Combined.{c}" for c in "RGBA")
     assert buffers.depth_channel == "ViewLayer.Depth.Z"
@@ -85,7 +85,7 @@ def test_channels_of_named_parts_carry_the_part_name(tmp_path):
     np.testing.assert_allclose(inverse.depth, 1 / plain["Z"], rtol=1e-6)
 
 
-def test_a_depth_channel_called_plain_z_is_a_distance_beside_nuke_vectors_too(tmp_path):
+def test_a_depth_channel_called_z_is_a_distance_with_nuke_vectors_too(tmp_path):
     plain = plain_frame()
     channels = {name: plain[name] for name in ("R", "G", "B", "Z")}
     channels |= {"forward.u": plain["velocity.X"], "forward.v": plain["velocity.Y"]}
@@ -120,7 +120,7 @@ def test_given_channels_are_read_in_the_given_order(tmp_path):
     np.testing.assert_array_equal(frame.depth, channels["R"])
 
 
-def test_a_layer_settles_which_view_is_read(tmp_path):
+def test_a_layer_selects_the_view(tmp_path):
     channels = {
         f"{view}.{name}": values + offset
         for view, offset in (("left", 0), ("right", 10))
@@ -154,7 +154,7 @@ def test_vectors_and_depth_from_other_files(tmp_path):
         exr.read_frame(color, "pixel", velocity_from=motion, depth_from=small)
 
 
-def test_data_windows_of_files_that_go_together_must_agree(tmp_path):
+def test_data_windows_of_color_vectors_and_depth_must_agree(tmp_path):
     plain = plain_frame()
     color = write_single(tmp_path / "color.exr", plain, origin=(-1, 0))
     moved = write_single(tmp_path / "moved.exr", {"Z": plain["Z"]}, origin=(1, 0))
@@ -176,7 +176,7 @@ def test_eight_bit_vectors_in_a_png(tmp_path):
     np.testing.assert_allclose(frame.velocity[0, 0], [0, 0], atol=1e-5)
 
 
-def test_flat_depth_asks_for_no_depth_channel(tmp_path):
+def test_flat_depth_needs_no_depth_channel(tmp_path):
     channels = plain_frame()
     del channels["Z"]
     path = write_single(tmp_path / "a.exr", channels)

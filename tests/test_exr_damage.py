@@ -1,4 +1,4 @@
-"""Damaged files: one error, or a frame that passes every check; never anything else."""
+"""Damaged files give one error or a frame that passes every check, never anything else."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tests.exr_files import DATA, plain_frame, write_single
 
 
 def damaged(whole, generator):
-    """A truncated, overwritten or bit-flipped copy of a file."""
+    """Return a truncated, overwritten or bit-flipped copy of a file."""
     data = bytearray(whole)
     kind = generator.integers(3)
     if kind == 0:

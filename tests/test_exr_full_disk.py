@@ -1,10 +1,10 @@
-"""A file that the disk did not take to its last byte is never put in place."""
+"""A file that was not stored to its last byte never replaces the old one."""
 
 import json
 
 from tests.command_line import spawn
 
-# The limit on the size of a file acts like a disk that is full: what is beyond it is not written.
+# A limit on the file size acts like a full disk: bytes beyond it are not written.
 SCRIPT = """
 import json, resource, sys
 import numpy as np
@@ -18,7 +18,7 @@ for kind in ("exr", "png"):
     whole = folder / f"whole.{kind}"
     exr.write_image(whole, image)
     size = whole.stat().st_size
-    # The last pages are those that are written when the file is closed.
+    # The last pages are written when the file is closed.
     for limit in (*range(size - 5000, size, 131), size - 1, size):
         path = folder / f"{limit}.{kind}"
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
@@ -37,7 +37,7 @@ print(json.dumps(counts | {"hidden": hidden}))
 """
 
 
-def test_what_is_cut_off_at_any_of_its_last_bytes_is_refused(tmp_path):
+def test_a_file_that_lacks_any_of_its_last_bytes_is_rejected(tmp_path):
     outcome = spawn(tmp_path, code=SCRIPT)
     assert outcome.returncode == 0, outcome.stderr
     counts = json.loads(outcome.stdout)

@@ -21,13 +21,13 @@ def corpus(tmp_path_factory):
     return folder
 
 
-def test_every_kind_of_file_is_read_undamaged_but_for_deep_ones(corpus, tmp_path):
+def test_every_undamaged_file_is_read_except_deep_ones(corpus, tmp_path):
     names = sorted(path.name for path in corpus.glob("*.exr"))
     assert len(names) == 24
     for name in names:
         (tmp_path / "whole.exr").write_bytes((corpus / name).read_bytes())
         found = fuzz.check(tmp_path / "whole.exr", tmp_path)
-        # Truth files hold color alone.
+        # Truth files hold only color.
         no_frame = name == "deep.exr" or "truth" in name
         assert found == {"info": "read", "blur": "refused" if no_frame else "read"}, name
 
@@ -43,8 +43,8 @@ def test_every_way_of_damage_changes_files(way, corpus):
     assert changed >= 3
 
 
-def test_damaged_files_are_refused_or_read_and_nothing_else(corpus):
-    """In a worker with limited memory that is stopped if it hangs."""
+def test_damaged_files_are_rejected_or_read(corpus):
+    """Reads in a worker that has limited memory and is stopped if it hangs."""
     records = list(fuzz.supervise(corpus, 7, range(COUNT)))
     assert [record["number"] for record in records] == list(range(COUNT))
     assert [record for record in records if not fuzz.is_good(record)] == []

@@ -1,4 +1,4 @@
-"""Files and arguments that are refused: one clear error each, before memory is taken."""
+"""Files and arguments that are rejected: one clear error each, before memory is allocated."""
 
 import re
 import struct
@@ -46,14 +46,14 @@ def test_wrong_arguments_are_refused_before_the_file_is_opened():
         exr.read_frame(CUBE, velocity="x")  # pyright: ignore[reportCallIssue]
 
 
-def test_presets_that_need_more_say_so_with_the_file(tmp_path):
+def test_errors_for_missing_preset_arguments_name_the_file(tmp_path):
     path = write_single(tmp_path / "a.exr", plain_frame())
     for preset, message in (("arnold", "`file_shutter`"), ("vray", "`max_displace`")):
         with pytest.raises(exr.JaxblurIOError, match=f"a.exr: .*{message}"):
             exr.read_frame(path, preset, velocity_channels=["R", "G"])
 
 
-def test_paths_that_are_no_images(tmp_path):
+def test_paths_that_are_not_images(tmp_path):
     (tmp_path / "text.exr").write_text("not an image")
     (tmp_path / "empty.exr").write_bytes(b"")
     (tmp_path / "scene.blend").write_bytes(b"BLENDER")
@@ -96,7 +96,7 @@ def test_deep_images_are_refused(tmp_path):
         exr.read_image(tmp_path / "deep.exr")
 
 
-def test_a_huge_header_does_not_take_the_memory(tmp_path):
+def test_a_huge_header_does_not_exhaust_memory(tmp_path):
     path = write_single(tmp_path / "a.exr", plain_frame())
     window = np.array([0, 0, 5, 3], "<i4").tobytes()
     huge = np.array([0, 0, 900_000, 900_000], "<i4").tobytes()
@@ -105,7 +105,7 @@ def test_a_huge_header_does_not_take_the_memory(tmp_path):
         exr.read_frame(path)
 
 
-def test_a_header_that_claims_more_than_the_file_can_hold_is_told_before_memory_is_taken(tmp_path):
+def test_a_header_that_claims_more_than_the_file_can_hold_is_rejected_before_allocation(tmp_path):
     data = write_single(tmp_path / "a.exr", plain_frame((40, 50))).read_bytes()
     start = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
     claimed = struct.pack("<4i", 0, 0, 3_000 - 1, 4_000 - 1)

@@ -34,7 +34,7 @@ def test_depth_becomes_a_positive_distance(tmp_path, kind, stored, distance):
         ("normalized-near1", 1.5, "above 1 .*pass depth='z'"),
     ],
 )
-def test_depth_of_another_kind_is_refused(tmp_path, kind, value, message):
+def test_depth_that_contradicts_its_kind_is_rejected(tmp_path, kind, value, message):
     channels = plain_frame()
     channels["Z"] = np.full((4, 6), -0.5 if kind == "-z" else 0.5, np.float32)
     channels["Z"][1, 2] = value
@@ -69,7 +69,7 @@ def test_non_finite_values_are_refused_or_left_out(tmp_path, name, value):
     assert (~np.isfinite(kept_target)).sum() == 2
 
 
-def test_unknown_vectors_rest_whatever_value_stands_for_rest(tmp_path):
+def test_unknown_vectors_are_at_rest_whatever_the_raw_value_of_rest(tmp_path):
     channels = {name: plain_frame()[name] for name in "RGBZ"}
     channels |= {f"Velocity.{c}": np.full((4, 6), 0.75, np.float32) for c in "RG"}
     channels["Velocity.R"][1, 1] = np.nan
@@ -116,7 +116,7 @@ def test_impossible_speeds_are_refused(tmp_path):
         ("zip", "float", []),
     ],
 )
-def test_lossy_compression_of_vectors_is_reported_where_it_loses(
+def test_lossy_compression_of_vectors_is_reported_if_values_change(
     tmp_path, recwarn, compression, types, lossy
 ):
     plain = plain_frame((64, 64))

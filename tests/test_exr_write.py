@@ -1,4 +1,4 @@
-"""Writing images: what survives from the model file, and files that are whole or not there."""
+"""Writing images: contents kept from the model file, and files that are complete or absent."""
 
 import os
 import re
@@ -26,7 +26,7 @@ from tests.exr_files import (
 
 
 def any_bits(shape, dtype, seed):
-    """Arbitrary bits, so NaN payloads, denormals and infinities are among the values."""
+    """Make values of arbitrary bits, among them NaN payloads, denormals and infinities."""
     unsigned = {"float16": np.uint16, "float32": np.uint32}[dtype]
     generator = np.random.default_rng(seed)
     return generator.integers(0, np.iinfo(unsigned).max, shape, unsigned).view(dtype)
@@ -92,7 +92,7 @@ def test_mixed_types_of_one_part_keep_their_bits(tmp_path):
     np.testing.assert_array_equal(written, image)
 
 
-def test_integer_identifiers_that_openimageio_alone_would_round(tmp_path):
+def test_integer_identifiers_are_exact_where_openimageio_alone_rounds_them(tmp_path):
     ids = np.array([[0, 1, 2**24 + 1, 2**31 + 3, 2**32 - 1]], np.uint32)
     plain = {c: np.zeros((1, 5), np.float32) for c in "RGB"} | {"id": ids.view(np.float32)}
     source = write_single(tmp_path / "in.exr", plain, types=["half"] * 3 + ["float"])
@@ -211,7 +211,7 @@ def files(folder):
 
 
 def test_the_time_of_writing_is_not_stored(tmp_path):
-    """So that the same input gives the same bytes, whether its model is dated or not."""
+    """The same input gives the same bytes, whether the model has a date or not."""
     channels = plain_frame()
     exr.write_channels(tmp_path / "undated.exr", channels)
     undated = (tmp_path / "undated.exr").read_bytes()
@@ -324,7 +324,7 @@ def test_refusals(tmp_path):
     assert files(tmp_path) == ["folder.exr", "in.exr"]
 
 
-def test_a_png_is_no_model(tmp_path):
+def test_a_png_cannot_be_the_model(tmp_path):
     exr.write_image(tmp_path / "a.png", np.ones((4, 6, 3)))
     with pytest.raises(exr.JaxblurIOError, match=r"a.png: `like` must be an .exr file"):
         exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=tmp_path / "a.png")

@@ -101,8 +101,8 @@ def test_ssim_refuses_images_smaller_than_its_window():
         metrics.ssim(*pair((10, 20, 3)))
 
 
-def test_other_shapes_are_refused_and_not_stretched():
-    # The type checker of the tests refuses them before the public functions do.
+def test_differing_shapes_are_rejected_instead_of_broadcast():
+    # The tests' type checker rejects them before the public functions do.
     image, truth = pair((12, 20, 3))
     with pytest.raises(ValueError, match=r"one shape, got \(12, 20, 3\) and \(12, 20, 1\)"):
         metrics._of_one_shape(image, truth[..., :1])
@@ -139,7 +139,7 @@ def test_vmap_equals_a_loop(name):
 def test_derivatives_match_finite_differences(name):
     with jax.enable_x64(True):
         image, truth = pair((11, 12, 3), jnp.float64)
-        # SSIM's sign and minimum in the covariance are kinks that random windows do not touch.
+        # SSIM has kinks (sign and minimum of the covariance) that random windows do not hit.
         check_grads(LOSSES[name], (image, truth), order=1, modes=("fwd", "rev"))
 
 
@@ -149,7 +149,7 @@ def test_equal_images_have_finite_derivatives(name, value):
     image = jnp.full((12, 13, 3), value)
     gradient = jax.grad(LOSSES[name])(image, image)
     assert np.isfinite(gradient).all()
-    # The rounding of a variance near 0 leaves SSIM a derivative of up to 3e-4 here.
+    # Rounding of variances near 0 leaves SSIM with a derivative of up to 3e-4 here.
     np.testing.assert_allclose(gradient, 0, atol=1e-3)
 
 
@@ -207,7 +207,7 @@ def test_flip_refuses_alpha():
         metrics.flip(truth, truth)
 
 
-def test_temporal_error_ignores_what_stands_still():
+def test_temporal_error_ignores_static_errors():
     truths = np.random.default_rng(0).random((3, 4, 5, 3)).astype(np.float32)
     constant = np.random.default_rng(1).random((4, 5, 3)).astype(np.float32)
     np.testing.assert_allclose(
@@ -295,14 +295,14 @@ def test_footprint_follows_curved_paths():
 
 
 def read_planes(path, *endings):
-    """The channels whose full names end like this, stacked."""
+    """Stack the channels whose full names end in the given ways."""
     names = exr.inspect(path).channel_names
     return exr.read_channels(
         path, [next(name for name in names if name.endswith(ending)) for ending in endings]
     )
 
 
-# What the makers of the renders measured with their own code: whole frame sharp and Vector Blur,
+# Measured by the authors of the renders with their own code: whole frame sharp and Vector Blur,
 # blur footprint sharp and Vector Blur.
 PUBLISHED_PSNR = {
     "cube_over_crates": (26.64, 38.10, 15.85, 30.03),
@@ -320,7 +320,7 @@ def test_the_published_psnr_of_rendered_scenes_is_reproduced(reference_data, sce
         read_planes(folder / f"{name}_0011.exr", *rgb) for name in ("frame", "vectorblur", "truth")
     )
     vector = read_planes(folder / "gbuf_0011.exr", "Vector.X", "Vector.Y", "Vector.Z", "Vector.W")
-    # To opening and closing of a shutter of half a frame, y down.
+    # Displacements to the opening and closing of a shutter of half a frame, y down.
     path = (vector * [0.25, -0.25, -0.25, 0.25]).reshape(*vector.shape[:2], 2, 2)
     footprint = metrics.motion_footprint(frame_of((path[..., 1, :] - path[..., 0, :]) / 2, path))
     expected = metrics.display(truth)

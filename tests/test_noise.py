@@ -32,8 +32,8 @@ def test_interleaved_gradient_noise_at_a_hand_checked_pixel():
     assert make_noise("ign", 4, 5).tap[2, 3] == pytest.approx(2 * 0.28567879 - 1, abs=1e-6)
 
 
-def test_interleaved_gradient_noise_is_its_formula_far_from_the_origin():
-    """Where float32 has 18 bits left, and with columns to the left of 0."""
+def test_interleaved_gradient_noise_equals_its_formula_far_from_the_origin():
+    """Coordinates are so large that float32 has 18 bits left, and columns are negative too."""
     x, y = np.ogrid[-9000:9000:37, 0:9000:41]
     expected = 52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1) % 1
     apart = np.abs(interleaved_gradient(x, y) - expected)
@@ -82,7 +82,7 @@ def test_explicit_noise_of_another_shape_is_refused(change, message):
         )
 
 
-def test_noise_that_is_no_noise_is_refused():
+def test_noise_of_another_type_is_rejected():
     noise: Any = jnp.zeros((4, 5))
     with pytest.raises(TypeError):
         jaxblur.layered(random_frame((4, 5)), jaxblur.LayeredParameters(), noise=noise)

@@ -1,4 +1,4 @@
-"""NaN and infinity: refused with the place, or left out, counted, and without a trace."""
+"""NaN and infinity: rejected with their position, or left out, counted, and without influence."""
 
 import dataclasses
 
@@ -58,7 +58,7 @@ def test_a_good_frame_is_returned_as_it_is():
 
 @pytest.mark.parametrize("value", [0.0, -1.0])
 @pytest.mark.parametrize("policy", ["error", "ignore"])
-def test_depth_that_is_no_distance_is_always_refused(value, policy):
+def test_depth_that_is_not_a_distance_is_always_rejected(value, policy):
     frame = with_value(random_frame((4, 6)), "depth", value)
     with pytest.raises(ValueError, match=r"`frame.depth` is zero or negative at 1 of 24"):
         jaxblur.finite_frame(frame, policy)
@@ -69,7 +69,7 @@ def test_unknown_policies_are_refused():
         jaxblur.finite_frame(random_frame((4, 6)), "zero")  # pyright: ignore[reportArgumentType]
 
 
-def test_paths_and_earlier_masks_are_kept_in_step():
+def test_paths_and_earlier_masks_are_updated_too():
     frame = random_frame((4, 6))
     frame = dataclasses.replace(frame, path=jnp.zeros((4, 6, 2, 2)).at[1, 2, 0, 1].set(jnp.nan))
     frame = dataclasses.replace(frame, valid=jnp.ones((4, 6), bool).at[0, 0].set(False))
@@ -82,7 +82,7 @@ def test_paths_and_earlier_masks_are_kept_in_step():
 
 @pytest.mark.parametrize("choice", ["own", "expected"])
 @pytest.mark.parametrize("name", FILTERS)
-def test_what_is_masked_has_no_influence_whatever_it_holds(name, choice):
+def test_masked_pixels_have_no_influence_whatever_they_hold(name, choice):
     frame = random_frame((16, 18), speed=4.0)
     valid = jnp.asarray(np.random.default_rng(3).random((16, 18)) > 0.1)
     outputs = []
@@ -93,7 +93,7 @@ def test_what_is_masked_has_no_influence_whatever_it_holds(name, choice):
     np.testing.assert_array_equal(outputs[0], outputs[1])
     np.testing.assert_array_equal(outputs[0], outputs[2])
     assert outputs[0].shape == (16, 18, 3)
-    # An average of what is valid: neither darker nor brighter than all of it.
+    # An average of the valid pixels lies between their extremes.
     light = np.asarray(frame.color)[np.asarray(valid)]
     assert outputs[0].min() >= light.min() - 1e-5 and outputs[0].max() <= light.max() + 1e-5
 
@@ -106,8 +106,8 @@ def test_a_mask_that_masks_nothing_changes_nothing(name):
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_a_masked_sample_takes_its_weight_along(name):
-    """The quotient of two plain filterings, where anything valid is in reach."""
+def test_a_masked_sample_loses_its_weight_too(name):
+    """The result is the quotient of two plain filterings wherever a valid pixel is in reach."""
     frame = random_frame((12, 18), speed=4.0, channels=1)
     valid = np.random.default_rng(3).random((12, 18, 1)) > 0.2
     parts = [

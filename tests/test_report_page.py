@@ -14,7 +14,7 @@ HOSTILE = "</script><img src=x onerror=window.hacked=1>"
 
 
 def ramp(channel):
-    """The column in one channel, 1/64 for each, so that a color tells where it was read."""
+    """The column number in one channel, 1/64 per pixel, so that a color shows where it was read."""
     image = np.zeros((*SHAPE, 3), np.float32)
     image[..., channel] = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1]
     return image
@@ -55,7 +55,7 @@ def problems():
 
 @pytest.fixture
 def page(browser, page_file, problems):
-    """The page, loaded; a console message, an error or a request fails the test."""
+    """Load the page; a console message, an error or a request fails the test."""
     with browser.new_context(viewport={"width": 1280, "height": 900}) as context:
         opened = context.new_page()
         opened.on("console", lambda message: problems.append(message.text))
@@ -64,14 +64,14 @@ def page(browser, page_file, problems):
         opened.on("request", lambda request: problems.append(request.url))
         opened.goto(page_file.as_uri())
         drawn(opened)
-        # The page itself is the one request, and data that it embeds.
+        # The only requests are the page itself and the data that it embeds.
         problems[:] = [p for p in problems if p != page_file.as_uri() and p[:5] != "data:"]
         yield opened
         assert [p for p in problems if p[:5] not in ("data:", "blob:")] == []
 
 
 def drawn(page):
-    """Wait until the canvas shows what was asked for."""
+    """Wait until the canvas shows the requested pictures."""
     page.wait_for_selector("#canvas[data-drawn=yes]")
 
 
@@ -106,7 +106,7 @@ def chosen(page):
     return page.locator("#methods [aria-checked=true]").inner_text()
 
 
-def test_it_loads_and_names_what_it_shows(page):
+def test_the_page_loads_and_names_its_picture(page):
     assert page.get_by_role("radio", checked=True).inner_text().endswith("red ramp")
     assert page.locator("#canvas").get_attribute("aria-label") == "Picture of first by red ramp"
     red = color(page)
@@ -149,7 +149,7 @@ def test_the_slider_shows_the_picture_left_and_the_compared_one_right(page):
     assert page.locator("#tag-left").inner_text() == ""
 
 
-def test_zoom_and_pan_stay_in_step_between_pictures(page):
+def test_zoom_and_pan_are_the_same_for_all_pictures(page):
     box = page.locator("#canvas").bounding_box()
     page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
     for _ in range(4):
@@ -168,7 +168,7 @@ def test_zoom_and_pan_stay_in_step_between_pictures(page):
     assert before == after
     np.testing.assert_allclose(columns["2"], columns["1"], atol=0.6)
     np.testing.assert_allclose(columns["t"], columns["1"], atol=0.6)
-    # 4 steps of 1.25 about 30 % of the width, then 5 % to the right.
+    # 4 zoom steps of 1.25 centered at 30 % of the width, then 5 % to the right.
     seen = 0.3 + (places - 0.35) / 1.25**4
     np.testing.assert_allclose(columns["1"], seen * SHAPE[1], atol=1.2)
 
@@ -220,7 +220,7 @@ def test_the_keyboard_reads_values_too(page):
     assert page.locator("#canvas").get_attribute("data-x") != x
 
 
-def test_the_flip_map_comes_and_goes(page):
+def test_the_flip_map_can_be_switched_on_and_off(page):
     picture = color(page)
     page.keyboard.press("f")
     assert page.get_by_role("button", name="FLIP map").get_attribute("aria-pressed") == "true"
@@ -284,7 +284,7 @@ def test_another_shot_has_its_own_pictures(page):
 
 def test_a_method_without_picture_says_so(page):
     page.get_by_role("radio", name="figures only").click()
-    assert page.get_by_role("status").inner_text() == "figures only has figures only"
+    assert page.get_by_role("status").inner_text() == "figures only has scores only"
 
 
 def test_every_control_has_a_name_and_focus_can_be_seen(page):

@@ -16,7 +16,7 @@ from .command_line import refused, run, spawn
 
 
 def images(shape=(16, 24), seed=0):
-    """A truth with a highlight, and a picture that errs most at the lower right."""
+    """A truth with a highlight, and a picture whose error is largest at the lower right."""
     truth = np.random.default_rng(seed).uniform(0, 0.5, (*shape, 3)).astype(np.float32)
     truth[2, 3] = (8, 2, 0)
     other = truth.copy()
@@ -71,7 +71,7 @@ def test_a_second_result_replaces_the_first(folder):
     assert read_result(folder).title == "Second"
 
 
-def test_a_result_that_broke_off_is_none(folder):
+def test_a_result_that_was_interrupted_does_not_count(folder):
     def broken():
         yield shots()[0]
         raise RuntimeError("out of frames")
@@ -99,12 +99,12 @@ def another_size():
     ("make", "message"),
     [
         (list, "at least one shot"),
-        (twice, "'a shot' comes twice"),
-        (double_picture, "'slow' comes twice"),
+        (twice, "'a shot' occurs twice"),
+        (double_picture, "'slow' occurs twice"),
         (another_size, "`b` must have the size of its truth"),
     ],
 )
-def test_results_that_make_no_sense_are_refused(tmp_path, make, message):
+def test_inconsistent_results_are_rejected(tmp_path, make, message):
     with pytest.raises(ValueError, match=message):
         write_result(tmp_path, "T", make())
 
@@ -133,7 +133,7 @@ def test_a_damaged_manifest_is_an_error_that_names_file_and_key(folder, edit, me
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '"text"', "\udcff"])
-def test_a_manifest_that_is_no_manifest_is_an_error(folder, text):
+def test_a_file_that_is_not_a_manifest_is_an_error(folder, text):
     (folder / MANIFEST).write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(JaxblurIOError, match=r"result\.json"):
         read_result(folder)
@@ -159,7 +159,7 @@ def test_shared_exponents_keep_half_a_percent_of_the_largest_value():
     assert (decoded[0, 1] == (1, 0.5, 0)).all() and (decoded[0, 0] == 0).all()
 
 
-def test_the_page_fetches_nothing_and_lets_run_only_its_own_script(folder):
+def test_the_page_fetches_nothing_and_runs_only_its_own_script(folder):
     page = build_page(read_result(folder))
     assert page.warnings == ()
     assert not re.search(r"https?://(?!www\.w3\.org/)", page.html)
@@ -217,7 +217,7 @@ def test_the_command_warns_when_it_crops(tmp_path):
     ("output", "message"),
     [("page.txt", "can write .html only"), ("none/page.html", "create it first")],
 )
-def test_the_command_refuses_what_it_cannot_write(folder, output, message):
+def test_the_command_rejects_outputs_that_it_cannot_write(folder, output, message):
     assert message in refused("report", folder, "-o", folder / output)
 
 
@@ -225,7 +225,7 @@ def test_a_folder_without_a_result_is_refused(tmp_path):
     assert "result.json" in refused("report", tmp_path, "-o", tmp_path / "a.html")
 
 
-def test_the_report_loads_no_jax(folder, tmp_path):
+def test_the_report_does_not_load_jax(folder, tmp_path):
     code = (
         "import sys; from jaxblur.cli import main\n"
         f"status = main(['report', {str(folder)!r}, '-o', {str(tmp_path / 'x.html')!r}])\n"

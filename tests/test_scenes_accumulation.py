@@ -62,7 +62,7 @@ def test_uniform_pan_is_the_box_filter_along_the_velocity():
     large = (SIZE[0] * fine, SIZE[1] * fine)
     sharp = np.asarray(render(a_scene, size=large, subpixels=8).color)
     sharp = sharp.reshape(SIZE[0], fine, large[1], 3).mean(1)
-    # The square of the pixel, then the box of the motion, both on a grid of 1/8 pixel.
+    # Box filters of the pixel and of the motion, both on a grid of 1/8 pixel.
     blurred = box_average(box_average(sharp, fine, 1), blur * fine, 1)
     margin = (large[1] - blurred.shape[1]) // 2
     columns = np.arange(8, SIZE[1] - 8)
@@ -98,7 +98,7 @@ def test_truth_is_aligned_with_the_frame_to_a_tenth_of_a_pixel():
     difference = (truth - sharp)[1:-1, 1:-1].ravel()
     shift = np.linalg.lstsq(gradient, difference, rcond=None)[0]
     assert np.abs(shift).max() < 0.05
-    # The method sees a shift of half a pixel, were there one.
+    # The method would detect a shift of half a pixel.
     moved = (sharp[:, 1:] + sharp[:, :-1])[1:-1, 1:-1].ravel() / 2
     seen = np.linalg.lstsq(
         gradient.reshape(52, 94, 2)[:, :-1].reshape(-1, 2),
@@ -187,7 +187,7 @@ def test_rolling_shutter_skews_a_moving_edge(readout):
     assert np.abs(centers - ideal).max() < 0.1
 
 
-def test_too_small_a_capacity_is_seen_and_mended(monkeypatch):
+def test_a_capacity_that_is_too_small_is_raised(monkeypatch):
     a_scene = SCENES["crossing"]()
     right = accumulate(a_scene, samples=8, size=SIZE)
     tiny = raster.Capacity(64, 64)

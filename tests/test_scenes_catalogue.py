@@ -1,4 +1,4 @@
-"""Every scene of the catalogue builds, renders, and has what its name says."""
+"""Every scene of the catalogue builds, renders, and shows the motion that it is named after."""
 
 import re
 
@@ -38,7 +38,7 @@ def frame_of(name, **arguments):
 
 
 def seen(name, body):
-    """Where a body is visible."""
+    """The mask of the pixels where a body is visible."""
     a_scene = SCENES[name]()
     return np.asarray(object_ids(a_scene, 0.0, SIZE)) == a_scene.object_names.index(body)
 
@@ -48,8 +48,8 @@ def test_the_catalogue_is_complete():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_docstring_names_what_it_answers(name):
-    figure = r"Answers [A-Z][\w ]+ \d{4}, (figure|section|table) \d"
+def test_docstring_names_its_source(name):
+    figure = r"After [A-Z][\w ]+ \d{4}, (figure|section|table) \d"
     assert bool(re.search(figure, SCENES[name].__doc__ or "")) == (name not in WITHOUT_FIGURE)
 
 
@@ -59,7 +59,7 @@ def test_scene_renders_and_moves(name):
     assert np.all(np.isfinite(frame.color))
     assert np.all(np.asarray(frame.depth) > 0)
     assert np.all(np.isfinite(np.asarray(frame.path)))
-    # Something to look at: contrast, and no picture that is mostly black or white.
+    # The picture has contrast and is not mostly black or white.
     assert np.asarray(frame.color).std() > 0.05
     assert 0.08 < np.asarray(frame.color).mean() < 0.9
     fastest = np.linalg.norm(velocity, axis=-1).max()
@@ -111,7 +111,7 @@ def test_zoom_and_dolly_point_away_from_one_place():
         assert np.mean(outward > 0) > 0.95
 
 
-def test_camera_turn_is_level_and_moves_the_sky():
+def test_camera_turn_moves_everything_horizontally_sky_included():
     frame, velocity = frame_of("camera_turn")
     sky = np.isinf(np.asarray(frame.depth))
     assert 0.05 < sky.mean() < 0.6
@@ -119,7 +119,7 @@ def test_camera_turn_is_level_and_moves_the_sky():
     assert np.abs(velocity[..., 0]).mean() > 5 * np.abs(velocity[..., 1]).mean()
 
 
-def test_tracked_car_is_sharp_before_a_blurred_street():
+def test_tracked_car_is_sharp_in_front_of_a_blurred_street():
     _, velocity = frame_of("tracked_car")
     assert np.abs(velocity[seen("tracked_car", "car")]).max() < 0.01
     assert np.abs(velocity[seen("tracked_car", "wall")][:, 0]).min() > 10
@@ -156,7 +156,7 @@ def test_gears_mesh_at_their_pitch_circles():
     for other in ("small", "middle", "left"):
         k = names.index(other)
         distance = np.linalg.norm(places[k] - places[0])
-        # Equal speeds at the point of contact, in opposite turns.
+        # Equal speeds at the point of contact, opposite directions of rotation.
         radius = distance / (1 + abs(rates[0] / rates[k]))
         assert rates[0] * radius == pytest.approx(-rates[k] * (distance - radius))
         assert rates[k] * rates[0] < 0

@@ -39,7 +39,7 @@ def unpack(mask):
 
 
 def sheet_over_wall(velocity=(2.0, 0.0, 0.0)):
-    """A bright square that glides in front of a dark wall, both without texture."""
+    """A bright square that moves in front of a dark wall, both without texture."""
     bodies = [
         scenes.Body("wall", primitives.sheet((30, 30)), materials.flat("#000000")),
         scenes.Body(
@@ -54,7 +54,7 @@ def sheet_over_wall(velocity=(2.0, 0.0, 0.0)):
 
 
 def center_truth(scene, size=SIZE, samples=512, shutter=0.5):
-    """The mean of sharp images that are all sampled as `motion_paths` does by default.
+    """The mean of sharp images with the sample position that `motion_paths` has by default.
 
     That is, at the pixels' centers, with textures averaged over a pixel.
     """
@@ -101,7 +101,7 @@ def test_the_sign_of_a_quadratic_is_found_in_closed_form():
     assert clear.mean() > 0.999
 
 
-def test_a_line_is_negative_where_it_is():
+def test_the_bits_where_a_line_is_negative_are_found():
     line = jnp.array([[-10.2, 10.2, 1.0, -1.0], [0.5, -0.5, 0.0, 0.0]])
     found = unpack(nearer_bits(line, BITS))
     bit = np.arange(BITS)
@@ -141,7 +141,7 @@ def test_coverage_equals_ray_casting_at_every_bit(closed):
     assert 0.05 < inside.mean() < 0.9 and twice.any(), "the test must cover twisted triangles"
 
 
-def test_triangles_that_share_an_edge_share_out_the_bits():
+def test_triangles_that_share_an_edge_split_the_bits():
     """A twisting quad: every covered bit belongs to exactly one of its halves."""
     random = np.random.default_rng(2)
     start = np.array([[-1, -1, 3], [1, -1, 3], [1, 1, 3], [-1, 1, 3.0]])
@@ -200,7 +200,7 @@ def random_intervals(cells, most, seed=3):
 
 
 def test_every_bit_goes_to_the_nearest_interval():
-    """Against the plain rule: at each bit of a cell, the covering line of least depth."""
+    """Against brute force: at each bit of a cell, the covering line of least depth."""
     found = sort_intervals(random_intervals(60, 12))
     seen, overflow, longest = jax.jit(visible_bits, static_argnums=(1, 2))(found, 16, BITS)
     assert int(overflow) == 0 and int(longest) == 12
@@ -213,7 +213,7 @@ def test_every_bit_goes_to_the_nearest_interval():
         for bit in range(BITS):
             if len(mine) and covered[bit, mine].any():
                 expected[bit, mine[np.argmin(depth[bit, mine])]] = True
-    # A bit whose middle is at an intersection may go either way: bits are whole here.
+    # A bit whose middle is at an intersection may go to either interval.
     disagree = unpack(seen) != expected
     assert disagree.mean() < 1e-3
     owners = np.zeros((60, BITS), int)
@@ -239,8 +239,8 @@ def test_lists_that_are_cut_short_are_counted_unless_the_mask_is_full():
     np.testing.assert_array_equal(unpack(seen)[1], [True, False, False, False, False])
 
 
-def test_an_edge_that_glides_over_a_pixel_covers_its_share_of_the_time():
-    """Column x is covered from when the left edge, at ``x0 + v t``, has not passed it yet."""
+def test_an_edge_that_moves_over_a_pixel_covers_it_for_part_of_the_time():
+    """Column x is covered until the left edge, at ``x0 + v t``, passes it."""
     size, shutter = (4, 64), 1.0
     scene = sheet_over_wall((1.5, 0.0, 0.0))
     focal = float(scene.world.camera.focal) * size[1]

@@ -193,8 +193,8 @@ def test_sky_moves_with_the_turn_of_the_camera_only():
     ("name", "step"),
     [("rotation_stress", 0.3), ("zoom", -1.5), ("camera_turn", 0.5), ("flagpole", 1.0)],
 )
-def test_points_are_found_again_where_their_displacement_says(name, step):
-    """Independent of projection formulas: look up depth and object where a point should be."""
+def test_points_are_at_their_displaced_positions(name, step):
+    """Independent of projection formulas: read depth and object where a point should be."""
     a_scene = SCENES[name]()
     move = np.asarray(displacement(a_scene, 0.0, step, SIZE))
     before = np.asarray(object_ids(a_scene, 0.0, SIZE))
@@ -203,7 +203,7 @@ def test_points_are_found_again_where_their_displacement_says(name, step):
     row = np.floor(row + 0.5 + move[..., 1]).astype(int)
     column = np.floor(column + 0.5 + move[..., 0]).astype(int)
     inside = (row >= 0) & (row < SIZE[0]) & (column >= 0) & (column < SIZE[1])
-    # Pixels that become hidden, and centers near an outline, are seen as another object.
+    # Where a point becomes hidden or lies near an outline, another object may be read.
     agree = np.mean(before[inside] == later[row[inside], column[inside]])
     still = np.mean(before == later)
     assert agree > 0.9
@@ -297,7 +297,7 @@ def test_a_frame_passes_the_frame_check():
     assert frame.color.dtype == frame.depth.dtype == frame.velocity.dtype == jnp.float32
 
 
-def test_scenes_of_similar_size_share_their_arrays_shapes():
+def test_scenes_of_similar_size_have_arrays_of_equal_shapes():
     def shapes(name):
         world = SCENES[name]().world
         return [leaf.shape for leaf in (world.points, world.triangles, world.motions.start)]

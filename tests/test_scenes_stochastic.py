@@ -45,7 +45,7 @@ def test_the_mean_over_seeds_is_the_true_image(truth):
     scene = scenes.SCENES["crossing"]()
     images = [stochastic(scene, samples=2, size=SIZE, seed=seed) for seed in range(SEEDS)]
     noise = rms(images[0] - truth)
-    # Independent errors average out as the root of their number; half as much again for chance.
+    # The mean of n independent errors falls as 1/sqrt(n); the factor 1.5 allows for chance.
     assert rms(sum(images) / SEEDS - truth) < 1.5 * noise / SEEDS**0.5
     assert rms(images[1] - images[0]) > noise
 
@@ -58,7 +58,7 @@ def test_one_seed_gives_one_image():
 
 
 def test_fast_rotation_within_one_stratum_follows_the_arc():
-    """In a single stratum of a third of a turn the chord would cut through the middle."""
+    """In a single stratum of a third of a turn a chord would cut through the middle."""
     scene = spinning_bar(4 * np.pi / 3)
     true = scenes.accumulate(scene, samples=512, size=SIZE)
     images = [stochastic(scene, samples=1, size=SIZE, seed=seed) for seed in range(4 * SEEDS)]
@@ -98,7 +98,7 @@ def test_light_and_position_invert_each_other(name):
     )
 
 
-def test_pieces_are_as_many_as_the_path_needs():
+def test_the_number_of_pieces_follows_the_path():
     straight = scenes.SCENES["crossing"]().world
     assert needed_pieces(straight, -0.25, 0.25, SIZE, 0.1)[0] == 1
     turning = spinning_bar(2.0).world

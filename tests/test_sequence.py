@@ -1,4 +1,4 @@
-"""Names of sequences, what is to be done with each frame, stages, cuts."""
+"""Names of sequences, the action for each frame, stages, cuts."""
 
 import os
 import statistics
@@ -56,7 +56,7 @@ def test_names_of_single_files(name):
         parse_names(name)
 
 
-def test_a_file_of_that_very_name_is_no_sequence(tmp_path):
+def test_an_existing_file_with_a_placeholder_in_its_name_is_not_a_sequence(tmp_path):
     odd = tmp_path / "take#2.exr"
     assert has_frame_number(odd)
     odd.touch()
@@ -72,7 +72,7 @@ def test_two_places_for_the_number_are_refused():
     ("frames", "missing"),
     [([5], ""), ([-1, 0, 1], ""), ([1, 3, 5], ""), ([1, 2, 4, 5, 9], "3,6-8"), ([2, 4, 8], "6")],
 )
-def test_missing_frames_are_those_between_the_others(frames, missing):
+def test_missing_frames_are_the_gaps_between_existing_ones(frames, missing):
     assert missing_frames(frames) == missing
 
 
@@ -99,7 +99,7 @@ def test_frames(text, frames):
 
 
 @pytest.mark.parametrize("text", ["", "abc", "1-", "1.5", "1..3"])
-def test_frames_that_are_none(text):
+def test_texts_that_are_not_frames(text):
     with pytest.raises(ValueError, match="expected frames such as 1001-1240"):
         parse_frames(text)
 
@@ -130,7 +130,7 @@ def make(job):
         exr.write_image(output, exr.read_image(job.inputs["input"]), attributes=notes)
 
 
-def test_what_is_done_with_a_frame_hangs_on_what_is_there(folder):
+def test_the_action_depends_on_the_existing_files(folder):
     first, second = planned(folder)
     assert (first.action, second.action) == ("blur", "blur")
     make(first)
@@ -143,7 +143,7 @@ def test_what_is_done_with_a_frame_hangs_on_what_is_there(folder):
     assert (first.action, first.reason) == ("blur", "replaces out.0001.exr")
 
 
-def test_an_input_that_changed_is_done_again(folder):
+def test_a_frame_whose_input_changed_is_blurred_again(folder):
     path, *_ = folder
     make(planned(folder)[0])
     os.utime(path / "in.0001.exr", ns=(1, 1))
@@ -152,7 +152,7 @@ def test_an_input_that_changed_is_done_again(folder):
 
 
 @pytest.mark.parametrize("content", [b"", b"precious"])
-def test_what_is_no_output_of_jaxblur_is_refused(folder, content):
+def test_files_that_jaxblur_did_not_write_are_not_replaced(folder, content):
     path, *_ = folder
     (path / "out.0001.exr").write_bytes(content)
     assert "was made by something else" in planned(folder)[0].reason
@@ -192,7 +192,7 @@ def some_jobs(count):
     return [Job(frame, {}, (), "blur", "", {}) for frame in range(count)]
 
 
-def test_stages_hand_on_what_they_make():
+def test_stages_pass_on_their_values():
     stages = (Stage("a", lambda job, _: job.frame), Stage("b", lambda _, value: value * 10))
     outcomes = list(run_pipeline(some_jobs(20), stages))
     assert sorted(outcome.result for outcome in outcomes) == [10 * n for n in range(20)]
@@ -255,7 +255,7 @@ def test_stages_overlap():
     assert waited, "frame 2 came in while frame 0 was going out"
 
 
-def test_closing_early_begins_nothing_more():
+def test_closing_early_starts_nothing_more():
     begun = []
     stages = (Stage("a", lambda job, _: begun.append(job.frame)), Stage("b", lambda *_: None))
     outcomes = run_pipeline(some_jobs(1000), stages)
@@ -283,7 +283,7 @@ def test_a_cut_stands_out_from_the_frames_around_it():
     ],
     ids=["nothing", "alone", "fast", "faster and faster", "slow"],
 )
-def test_what_is_no_cut(speeds):
+def test_speeds_without_a_cut(speeds):
     assert find_cuts(speeds) == []
 
 

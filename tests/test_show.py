@@ -21,7 +21,7 @@ UNKNOWN: Any = "unknown"
 
 
 def moving_right(shape=(24, 40), speed=6.0):
-    """A bright block that moves to the right over a still ground, with sky above."""
+    """A bright block that moves to the right in front of a static background, with sky above."""
     color = np.full((*shape, 3), 0.2, np.float32)
     color[8:16, 12:24] = (0.9, 0.5, 0.1)
     depth = np.full(shape, 10.0, np.float32)
@@ -80,7 +80,7 @@ def test_arrows_are_the_streaks_of_their_pixels():
         (x, y) for x in (14, 18, 22) for y in (10, 14)
     }
     assert (arrows.U == 6).all() and (arrows.V == 0).all()
-    # A scale of 1/2 draws twice the half-spread, about the middle.
+    # A scale of 1/2 draws twice the half-spread, centered on the pixel.
     assert (arrows.scale, arrows.pivot, arrows.angles) == (0.5, "middle", "xy")
 
 
@@ -113,7 +113,7 @@ def test_tile_velocities_are_those_of_the_public_operators():
     speed = np.linalg.norm(frame.velocity, axis=-1, keepdims=True)
     clamped = np.asarray(frame.velocity) * np.minimum(1, 6 / np.maximum(speed, 1e-9))
     tiles = jaxblur.tile_max(clamped, 6)
-    # Vectors at the clamp tie but for rounding: compare their speeds.
+    # Clamped vectors tie except for rounding, so their speeds are compared.
     stages: Any = {"tile": tiles, "neighbor": jaxblur.neighbor_max(tiles)}
     for stage, expected in stages.items():
         found = show.tile_velocities(frame, settings, stage)
@@ -151,7 +151,7 @@ def test_texel_weights_make_the_pixel(name):
 @pytest.mark.parametrize(
     ("tile_choice", "split"), [("stochastic", "variance"), ("expected", "even")]
 )
-def test_taps_lie_on_all_texels_that_weigh(tile_choice, split):
+def test_taps_lie_on_all_texels_with_weight(tile_choice, split):
     frame, noise = random_frame((20, 26), speed=8), random_noise((20, 26))
     settings = jaxblur.GuertinSettings(samples=9, radius=8, tile_choice=tile_choice, split=split)
     row, column = 8, 9
@@ -175,7 +175,7 @@ def test_a_pixel_beside_a_moving_block_looks_along_it_and_across():
     np.testing.assert_allclose(steps, 6 * np.abs(np.arange(-8, 9, 2))[None] / 10, atol=1e-5)
 
 
-def test_the_diagram_draws_a_dot_for_every_texel_that_weighs():
+def test_the_diagram_draws_a_dot_for_every_texel_with_weight():
     frame = moving_right()
     weights = show.texel_weights("guertin2014", frame, 12, 10, settings=SETTINGS)
     axes = only_axes(show.tap_diagram(frame, 12, 10, settings=SETTINGS))
@@ -216,7 +216,7 @@ def test_the_display_error_scales_to_its_largest():
     assert image.get_clim() == pytest.approx((0, 0.5), abs=1e-4)
 
 
-def test_before_and_after_show_what_they_name():
+def test_before_and_after_show_the_pictures_that_they_name():
     sharp = moving_right().color
     truth = jnp.roll(sharp, 2, axis=1)
     figure = show.before_after(sharp, truth, truth, name="moved")
@@ -262,7 +262,7 @@ def test_curves_and_bars_draw_their_values():
         (lambda: show.error_map(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), kind=UNKNOWN), "`kind`"),
         (lambda: show.image_grid({}), "at least one image"),
         (lambda: show.curves({}, x="", y=""), "at least one line"),
-        (lambda: show.curves({"a": ([1], [1])}, x="", y="", log="z"), "`log` must be made of"),
+        (lambda: show.curves({"a": ([1], [1])}, x="", y="", log="z"), "`log` may hold only"),
         (lambda: show.bars({"a": {"x": 1.0}, "b": {"y": 1.0}}, x=""), "the same names"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Vector conventions: every preset by hand, recognition, refusals, ranking by warping."""
+"""Vector conventions: every preset by hand, recognition, rejection, ranking by warping."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ def test_a_straight_path_from_both_sides(preset, raw):
 
 
 def turned(radius, angle):
-    """Displacement of a point to the right of its center that turns by an angle, rows down."""
+    """Displacement of a point right of its center that rotates by an angle; y down."""
     return radius * np.array([np.cos(angle) - 1, np.sin(angle)])
 
 
@@ -124,7 +124,7 @@ def test_a_path_gives_back_the_displacements_that_it_came_from(shutter):
 
 
 @pytest.mark.parametrize("preset", ["fsr2", "unreal", "rsmb8"])
-def test_past_motion_is_reused_for_the_future(preset):
+def test_past_motion_stands_in_for_future_motion(preset):
     raw, options = HAND_CHECKED[preset]
     layout = vectors.PRESETS[preset].layouts[0]
     assert [pair.time for pair in layout] == [-1]
@@ -216,7 +216,7 @@ NUKE = ["backward.u", "backward.v", "forward.u", "forward.v"]
         ),
     ],
 )
-def test_channel_names_tell_the_convention(names, preset, channels):
+def test_channel_names_identify_the_convention(names, preset, channels):
     guess = vectors.guess_preset(names)
     assert guess.preset.name == preset
     assert set(guess.channels) <= set(names)
@@ -245,7 +245,7 @@ def test_unknown_and_ambiguous_names_are_refused(names, message):
         vectors.guess_preset(names)
 
 
-def test_a_given_preset_settles_an_ambiguity():
+def test_a_given_preset_resolves_an_ambiguity():
     assert vectors.match_preset("nuke", [*BLENDER, *NUKE]).channels == tuple(NUKE)
 
 
@@ -307,7 +307,7 @@ def test_ranking_finds_the_convention_of_a_pan(raw, expected, preset):
 @pytest.mark.parametrize(
     ("shift", "undecided"), [((6, 0), ("the sign of y",)), ((0, -5), ("the sign of x",))]
 )
-def test_a_motion_along_one_axis_does_not_tell_the_sign_of_the_other(shift, undecided):
+def test_motion_along_one_axis_leaves_the_sign_of_the_other_undecided(shift, undecided):
     now, following = pan(shift)
     vector = np.broadcast_to(np.float32(shift), (40, 60, 2)).copy()
     ranking = vectors.rank_conventions(now, following, vector)
@@ -318,8 +318,8 @@ def test_a_motion_along_one_axis_does_not_tell_the_sign_of_the_other(shift, unde
     assert vectors.rank_conventions(now, following, vector).undecided == ()
 
 
-def test_a_candidate_that_leads_out_of_the_picture_explains_nothing():
-    # A disk on black: whoever leads it out of the picture finds black there, and may not win.
+def test_a_candidate_that_points_outside_the_picture_gains_nothing():
+    # A disk on black: a candidate that moves it out of the picture must not win by reading black.
     rows, columns = np.indices((40, 60))
     disks = [np.hypot(rows - 20 - 3 * k, columns - 50 - 6 * k) < 8 for k in (0, 1)]
     now, following = (np.repeat(disk[..., None].astype(float), 3, axis=-1) for disk in disks)
@@ -350,8 +350,8 @@ def test_ranking_finds_blender_vectors_in_a_rendered_pair():
     assert best.error < 0.4 * third.error < ranking.still_error
 
 
-def test_both_blender_sides_lead_to_the_neighboring_frames():
-    """The next frame's X, Y must lead back to this one, as this one's Z, W lead on."""
+def test_both_blender_sides_point_to_the_neighboring_frames():
+    """The next frame's X, Y must point back to this frame, as this frame's Z, W point forward."""
     guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
     raw = exr.read_channels(CUBE_NEXT, guess.channels)
     size = (raw.shape[0], raw.shape[1])

@@ -2,7 +2,7 @@
 
     python experiments/000_scene_catalogue/first_screen.py [--output first_screen.png]
 
-Needs the extra `plot`. Nothing is random but for the scene's seed, which is fixed.
+Needs the extra `plot`. The scene has a fixed seed; nothing else is random.
 """
 
 import argparse
@@ -21,7 +21,7 @@ DOTS_PER_INCH = 100
 
 
 def draw() -> bytes:
-    """Render, blur, and lay out side by side, reduced to 256 colors to keep the file small."""
+    """Render, blur, and arrange side by side, reduced to 256 colors to keep the file small."""
     scene = scenes.SCENES[SCENE]()
     frame = scenes.render(scene, 0.0, SHUTTER, SIZE, path=True)
     truth = scenes.accumulate(scene, 0.0, SHUTTER, SAMPLES, SIZE)

@@ -34,7 +34,7 @@ def pair(name: str) -> np.ndarray:
 
 
 def draw(pairs: dict[str, np.ndarray]) -> bytes:
-    """Lay the pairs out under their names, and reduce to 256 colors to keep the file small."""
+    """Arrange the pairs under their names, and reduce to 256 colors to keep the file small."""
     picture, small = io.BytesIO(), io.BytesIO()
     show.image_grid(pairs, COLUMNS, width=WIDTH_INCHES).savefig(picture, dpi=DOTS_PER_INCH)
     reduced = Image.open(picture).convert("RGB").quantize(256, dither=Image.Dither.NONE)

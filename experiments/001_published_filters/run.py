@@ -2,9 +2,10 @@
 
     python experiments/001_published_filters/run.py --reference-data DIR -o OUT --frame 11
 
-DIR holds one folder per scene, laid out as ``experiments/blender/render_reference.py`` writes it.
-Per scene and frame: PSNR, SSIM and FLIP against the truth, over the whole frame and over the
-blur footprint, and a sheet of pictures. Nothing is random: the filters' noise is a fixed pattern.
+DIR holds one folder per scene as ``experiments/blender/render_reference.py`` writes it. For each
+scene and frame the script computes PSNR, SSIM and FLIP against the truth, over the whole frame and
+over the blur footprint, and draws a sheet of pictures. Nothing is random: the filters' noise is a
+fixed pattern.
 """
 
 import argparse
@@ -26,7 +27,7 @@ Blur = Callable[[jaxblur.Frame], Any]
 
 
 class Shot(NamedTuple):
-    """One frame of a scene: what a filter gets, what it should give, and what others gave."""
+    """One frame of a scene: inputs of the filters, the truth, and Blender's Vector Blur."""
 
     name: str
     sharp: jaxblur.Frame
@@ -36,7 +37,7 @@ class Shot(NamedTuple):
 
     @property
     def footprint(self) -> np.ndarray:
-        """The pixels that motion reaches, from vectors at pixel centers where they are known."""
+        """The pixels that motion reaches, by the vectors at pixel centers if there are any."""
         return metrics.motion_footprint(self.centers or self.sharp)
 
 
@@ -54,7 +55,7 @@ def find_shots(folder: Path, frame: int | None, shutter: float | None) -> Iterat
     """Read every frame that has a truth, scene by scene.
 
     Raises:
-        SystemExit: there is none, or its shutter is not known.
+        SystemExit: there is no such frame, or its shutter is not known.
     """
     number = "????" if frame is None else f"{frame:04d}"
     truths = sorted(folder.glob(f"*/truth_{number}.exr"))
@@ -77,7 +78,7 @@ def scene_shutter(scene: Path) -> float:
 
 
 def read_shot(truth: Path, shutter: float) -> Shot:
-    """Read the frame that belongs to a truth; its neighbors in the folder are optional."""
+    """Read the frame of a truth; the ``gbuf`` and ``vectorblur`` files beside it are optional."""
     number = truth.stem.removeprefix("truth_")
     sharp, centers, peer = (
         truth.with_name(f"{kind}_{number}.exr") for kind in ("frame", "gbuf", "vectorblur")
@@ -96,7 +97,7 @@ def read_shot(truth: Path, shutter: float) -> Shot:
 
 
 def methods() -> dict[str, Blur]:
-    """Every filter at its defaults, and the oldest one with the taps of the newer ones."""
+    """Every filter at its defaults, and mcguire2012 also with 35 taps as the newer filters have."""
     runs = {name: _blur(name) for name in ("pixel_velocity", "mcguire2012")}
     runs["mcguire2012, 35 taps"] = _blur("mcguire2012", jaxblur.Settings())
     return runs | {name: _blur(name) for name in ("guertin2014", "layered")}
@@ -109,7 +110,7 @@ def _blur(name: str, settings: jaxblur.Settings | None = None) -> Blur:
 
 
 def blur_all(shot: Shot) -> dict[tuple[str, str], Any]:
-    """Every picture to judge, by method and by where its motion vectors come from."""
+    """Every picture to judge, by method and by source of its motion vectors."""
     images: dict[tuple[str, str], Any] = {("unblurred", "none"): shot.sharp.color}
     for label, blur in methods().items():
         images[label, "frame"] = blur(shot.sharp)
@@ -121,7 +122,7 @@ def blur_all(shot: Shot) -> dict[tuple[str, str], Any]:
 
 
 def judge(shot: Shot, images: dict[tuple[str, str], Any]) -> list[Result]:
-    """Score every picture against the truth, whole and where something moves."""
+    """Score every picture against the truth, over the whole frame and over the footprint."""
     footprint = shot.footprint
     return [
         Result(
@@ -138,7 +139,7 @@ def judge(shot: Shot, images: dict[tuple[str, str], Any]) -> list[Result]:
 def report_shot(
     shot: Shot, images: dict[tuple[str, str], Any], judged: list[Result]
 ) -> report.Shot:
-    """The same pictures and scores for ``jaxblur report``."""
+    """The pictures and scores in the form that ``jaxblur report`` reads."""
     found = []
     for result in judged:
         moving = {f"{name}, moving": value for name, value in result.moving._asdict().items()}
@@ -150,13 +151,13 @@ def report_shot(
 
 
 def picture_row(shot: Shot, image: Any, area: tuple[slice, slice]) -> list[Any]:
-    """Input, output, truth and 4 times the error of the output, cut to an area."""
+    """Input, output, truth and 4 times the error of the output, cropped to an area."""
     row = [np.asarray(picture)[area] for picture in (shot.sharp.color, image, shot.truth)]
     return [*row, pictures.error_image(row[1], row[2])]
 
 
 def sheet(shot: Shot, images: dict[tuple[str, str], Any]) -> Any:
-    """One row of whole pictures for every method, in the order of the table."""
+    """One row of uncropped pictures for every method, in the order of the table."""
     outputs = [image for (_, vectors), image in images.items() if vectors == "frame"]
     everything = (slice(None), slice(None))
     return pictures.contact_sheet([picture_row(shot, image, everything) for image in outputs])
@@ -178,13 +179,13 @@ def worst_window(image: Any, truth: np.ndarray) -> tuple[slice, slice]:
 
 
 def overview_row(shot: Shot, images: dict[tuple[str, str], Any]) -> list[Any]:
-    """The window where the newest filter errs most."""
+    """The pictures of `OVERVIEW_METHOD` in the window where its error is largest."""
     output = images[OVERVIEW_METHOD, "frame"]
     return picture_row(shot, output, worst_window(output, shot.truth))
 
 
 def write_csv(path: Path, results: list[Result]) -> None:
-    """One row per picture and area, for other programs."""
+    """Write one row per picture and area."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["shot", "method", "vectors", "area", *metrics.Scores._fields])
@@ -195,7 +196,7 @@ def write_csv(path: Path, results: list[Result]) -> None:
 
 
 def table(results: list[Result]) -> str:
-    """A Markdown table: whole frame / blur footprint, and PSNR with vectors at pixel centers."""
+    """A Markdown table: whole frame / footprint, and PSNR with vectors at pixel centers."""
     centers = {(r.shot, r.method): r for r in results if r.vectors == "gbuf"}
     lines = [
         "| shot | method | PSNR dB | SSIM | FLIP | PSNR dB, vectors at pixel centers |",

@@ -3,9 +3,9 @@
     python experiments/002_ground_truth/run.py -o OUT            # about 8 minutes on two cores
     python experiments/002_ground_truth/run.py -o OUT --quick    # under a minute, coarser
 
-Writes results.csv, figures.png and crops.png. Times are seconds of the processor over all cores,
-the shortest of several runs, without compilation: on a busy machine wall time says little.
-The random numbers of stochastic sampling have seed 0; nothing else is random.
+Writes results.csv, figures.png and crops.png. Times are processor seconds over all cores, the
+shortest of several runs, without compilation: on a busy machine wall time says little.
+Stochastic sampling has seed 0; nothing else is random.
 """
 
 import csv
@@ -27,7 +27,7 @@ BELOW = 10.0
 
 
 class Plan(NamedTuple):
-    """How much is run."""
+    """Sizes, samples and scenes of a run."""
 
     size: tuple[int, int]
     truth: int
@@ -81,7 +81,7 @@ class Row(NamedTuple):
 
 
 def timed(render: Callable[[], jax.Array], repeats: int) -> tuple[jax.Array, float]:
-    """Run once to compile, then again: the image and the shortest time."""
+    """Run once to compile, then `repeats` times: the image and the shortest time."""
     image = jax.block_until_ready(render())
     shortest = np.inf
     for _ in range(repeats):
@@ -158,9 +158,9 @@ def complexity(plan: Plan) -> list[Row]:
 
 
 def mask_width(plan: Plan) -> list[Row]:
-    """Section 4.1: what bits of the mask cost and give, against a mask of 512 bits.
+    """Section 4.1: time and quality against bits of the mask; the truth has a mask of 512 bits.
 
-    At pixel centers, where nothing but the mask differs.
+    All are sampled at pixel centers, so that only the mask differs.
     """
     scene = scenes.SCENES["random_cubes"](CUBES)
     truth = scenes.motion_paths(scene, size=plan.size, mask_bits=512)
@@ -176,7 +176,7 @@ def mask_width(plan: Plan) -> list[Row]:
 
 
 def convergence(plan: Plan, name: str, truth: jax.Array) -> list[Row]:
-    """Error of accumulation against samples, and the errors of the filters on the same scene."""
+    """Error of accumulation by number of samples, and errors of the filters on the same scene."""
     scene = scenes.SCENES[name](CUBES) if name == "random_cubes" else scenes.SCENES[name]()
     rows = []
     for samples in [2**k for k in range(1, 10) if 2**k <= plan.truth // 4]:
@@ -198,7 +198,7 @@ def convergence(plan: Plan, name: str, truth: jax.Array) -> list[Row]:
 
 
 def draw(rows: Sequence[Row], target: Path) -> None:
-    """Plot the four questions."""
+    """Plot quality, complexity, mask bits and convergence."""
     figure = show.new_figure(15, 8.5)
     axes = figure.subplots(2, 3)
     draw_methods(rows, axes[0])
@@ -250,7 +250,7 @@ def draw_methods(rows: Sequence[Row], axes: Sequence[Any]) -> None:
 
 
 def draw_convergence(rows: Sequence[Row], axis: Any) -> None:
-    """Accumulation against samples, and the levels that are 10 dB above the best filter."""
+    """PSNR of accumulation by number of samples; dotted lines 10 dB above the best filter."""
     part = _picker(rows)("convergence", "accumulate")
     scene_names = list(dict.fromkeys(r.scene for r in rows if r.part == "convergence"))
     lines = {name: [r for r in part if r.scene == name] for name in scene_names}
@@ -268,7 +268,7 @@ def draw_convergence(rows: Sequence[Row], axis: Any) -> None:
 
 
 def second_axis(axis: Any, x: Any, y: Any, label: str, top: float | None = None) -> None:
-    """Draw values of another unit dashed, from 0, with their scale on the right."""
+    """Draw a dashed line of values in another unit, with an axis on the right that starts at 0."""
     twin = axis.twinx()
     twin.plot(x, y, "s--", color="gray")
     twin.set_ylabel(f"{label} (dashed)")
@@ -282,7 +282,7 @@ def _picker(rows: Sequence[Row]) -> Callable[[str, str], list[Any]]:
 def write_crops(
     rows: Sequence[Row], images: dict[str, list[jax.Array]], truth: jax.Array, target: Path
 ) -> None:
-    """Show the middle of the truth and of each method, as close in time as there is."""
+    """Write the middle of the truth and of each method, at the settings closest in time."""
     pick = _picker(rows)
     paths = pick("quality", "motion_paths")
     budget = float(paths[0].seconds)
@@ -300,7 +300,7 @@ def write_crops(
 
 
 def main() -> None:
-    """Run all parts."""
+    """Run all parts, and write the table and the pictures."""
     parser = output_parser("Compare ways to ground truth.")
     parser.add_argument("--quick", action="store_true", help="small and coarse")
     options = parser.parse_args()

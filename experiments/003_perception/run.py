@@ -3,11 +3,10 @@
     python experiments/003_perception/run.py -o OUT            # about 10 minutes
     python experiments/003_perception/run.py -o OUT --quick    # part of the grid, about a minute
 
-The grid of Navarro 2012, table 5.1: a sphere of 3 materials rolls at 3 speeds, with 5 shutter
-times and 5 sampling levels. Every cell is scored against the cell of the same material, speed
-and shutter time with the most samples, A5, over the pixels that the sphere's motion reaches with
-the longest shutter; every level has a seed of its own. Writes results.csv, results.md and
-figure.png.
+The grid of Navarro 2012, table 5.1: a rolling sphere with 3 materials, 3 speeds, 5 shutter times
+and 5 sampling levels. Every cell is scored against the cell with the most samples (A5) of the same
+material, speed and shutter time, over the pixels that the sphere's motion reaches with the longest
+shutter. Every level has its own seed. Writes results.csv, results.md and figure.png.
 """
 
 import csv
@@ -57,7 +56,7 @@ class Cell(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How much of the grid is rendered."""
+    """The part of the grid that is rendered."""
 
     size: tuple[int, int]
     materials: tuple[str, ...]
@@ -100,7 +99,7 @@ def footprint(plan: Plan, material: str, speed: str) -> np.ndarray:
 
 
 def score(plan: Plan, material: str, speed: str, images: Images) -> list[Cell]:
-    """Score every cell against the one with the most samples."""
+    """Score every cell against the cell with the most samples."""
     cells = []
     mask = footprint(plan, material, speed)
     for (shutter, level), image in images.items():
@@ -112,8 +111,8 @@ def score(plan: Plan, material: str, speed: str, images: Images) -> list[Cell]:
 def groups(values: dict[str, float], limit: float) -> Groups:
     """Overlapping groups of settings whose values differ by less than a limit, best first.
 
-    The rule of the thesis: in descending order, the longest runs whose first and last do not
-    differ significantly; runs inside another one are left out.
+    The rule of the thesis: sort the settings in descending order and take the longest runs whose
+    first and last values do not differ significantly. Runs inside another run are left out.
     """
     names = sorted(values, key=lambda name: -values[name])
     runs: list[tuple[int, int]] = []
@@ -125,7 +124,7 @@ def groups(values: dict[str, float], limit: float) -> Groups:
 
 
 def agreement(found: Groups, wanted: Groups) -> float:
-    """Share of the pairs of settings that both call equal or both call different."""
+    """Share of the pairs of settings on which two groupings agree: same group, or not."""
     names = sorted({name for group in wanted for name in group})
     pairs = list(itertools.combinations(names, 2))
 
@@ -138,8 +137,8 @@ def agreement(found: Groups, wanted: Groups) -> float:
 def best_limit(values: dict[str, float], wanted: Groups) -> tuple[float, float, Groups]:
     """Find the limit at which the groups agree best: limit, agreement and groups.
 
-    Only differences of two values matter; limits between neighboring ones are tried, and of
-    equally good ones the middle one is taken.
+    The groups change only where the limit passes a difference between two values, so the limits
+    midway between neighboring differences are tried. Among equally good limits the middle one wins.
     """
     steps = {abs(a - b) for a, b in itertools.combinations(values.values(), 2)} | {0.0}
     edges = np.array(sorted(steps))
@@ -151,7 +150,7 @@ def best_limit(values: dict[str, float], wanted: Groups) -> tuple[float, float, 
 
 
 def badness(cells: Sequence[Cell], material: str, shutter: str | None = None) -> dict[str, float]:
-    """FLIP with its sign turned, by level, or by shutter and level, at medium speed."""
+    """Negative FLIP by level, or by shutter and level, at medium speed."""
     mine = [c for c in cells if (c.material, c.speed) == (material, "S2")]
     if shutter:
         return {c.level: -c.flip for c in mine if c.shutter == shutter}
@@ -170,7 +169,7 @@ def cheapest(cells: Sequence[Cell], limit: float) -> dict[tuple[str, str, str], 
 def across(images: Images, mask: np.ndarray) -> tuple[float, float]:
     """Mean FLIP between two levels of one shutter time, and between two shutter times of a level.
 
-    Of the cells of test #3 alone: T3 to T5 with A3 to A5.
+    Only cells of test #3 count: T3 to T5 with A3 to A5.
     """
     names = [key for key in images if "".join(key) in VOTES_BOTH]
     levels, shutters = [], []
@@ -182,7 +181,7 @@ def across(images: Images, mask: np.ndarray) -> tuple[float, float]:
 
 
 def report(cells: Sequence[Cell], images: Images, plan: Plan) -> tuple[str, float]:
-    """Write the table and the answers as Markdown; give the limit too."""
+    """Return the table and the answers as Markdown, and the fitted limit."""
     lines = ["| material | speed | shutter | " + " | ".join(plan.levels) + " |"]
     lines.append("|---|---|---|" + "---|" * len(plan.levels))
     for key in dict.fromkeys((c.material, c.speed, c.shutter) for c in cells):
@@ -225,7 +224,7 @@ def report(cells: Sequence[Cell], images: Images, plan: Plan) -> tuple[str, floa
 
 
 def draw(cells: Sequence[Cell], images: Images, plan: Plan, limit: float, target: Path) -> None:
-    """Plot FLIP against samples per shutter time, over the pictures of the extreme cells."""
+    """Plot FLIP against samples for each shutter time, beside pictures of the extreme cells."""
     figure = show.new_figure(15, 6.5)
     axes = figure.subplots(2, 4)
     corners = itertools.product(
@@ -252,14 +251,14 @@ def draw(cells: Sequence[Cell], images: Images, plan: Plan, limit: float, target
 def _above_zero(
     cells: Sequence[Cell], material: str, shutter: str
 ) -> tuple[list[float], list[float]]:
-    """Samples and FLIP at medium speed; 0 has no place on a logarithmic axis."""
+    """Samples and FLIP at medium speed, without zeros: a logarithmic axis cannot show them."""
     key = (material, "S2", shutter)
     mine = [c for c in cells if (c.material, c.speed, c.shutter) == key and c.flip > 0]
     return [float(LEVELS[c.level]) for c in mine], [c.flip for c in mine]
 
 
 def main() -> None:
-    """Render, score, compare."""
+    """Render and score every cell, and write the tables and the figure."""
     parser = output_parser("Score shutter times and samples.")
     parser.add_argument("--quick", action="store_true", help="small, and part of the grid")
     options = parser.parse_args()

@@ -1,11 +1,12 @@
-"""What gradients of guertin2014 cost, in forward passes and in memory.
+"""The cost of gradients of guertin2014, in forward passes and in memory.
 
     python experiments/004_gradient_cost/run.py -o OUT [--quick]
 
-Per fetch and tile choice: the loss alone, its value and gradient in reverse mode with respect to
-kappa, gamma, tau and phi, the same by forward mode, and the gradient with respect to color, depth,
-velocity and every parameter. The loss is the expected squared error over the tile choices. All
-variants run interleaved; times are medians, compile time apart. Writes cost.csv and cost.md.
+Measures for each fetch and tile choice: the loss alone; its value and gradient with respect to
+kappa, gamma, tau and phi in reverse mode, and in forward mode; and the gradient with respect to
+color, depth, velocity and every parameter. The loss is the expected squared error over the tile
+choices. All variants run in turn; times are medians without compilation. Writes cost.csv and
+cost.md.
 """
 
 import argparse
@@ -54,7 +55,7 @@ def expected_error(settings, parameters, frame, truth):
 
 
 def variants(settings):
-    """Name -> function of (parameters, frame, truth), jitted."""
+    """Jitted functions of (parameters, frame, truth), by name."""
     loss = functools.partial(expected_error, settings)
 
     def of_free(free, parameters, frame, truth):
@@ -77,7 +78,7 @@ def variants(settings):
 
 
 def measure(size, settings, repeats):
-    """Rows of the table for one size and one choice of settings."""
+    """Measure all variants at one size with one choice of settings: rows of the table."""
     frame = moving_frame(*size)
     parameters = jax.tree.map(jnp.float32, jaxblur.GuertinParameters(tau=0.9))
     arguments = parameters, frame, jnp.zeros_like(frame.color)
@@ -115,8 +116,8 @@ def write_tables(folder: pathlib.Path, rows) -> None:
 
 
 def main() -> None:
-    """Parse the command line, measure, write."""
-    parser = argparse.ArgumentParser(description="What gradients of guertin2014 cost.")
+    """Parse the command line, measure, and write the tables."""
+    parser = argparse.ArgumentParser(description="The cost of gradients of guertin2014.")
     parser.add_argument("-o", "--output", type=pathlib.Path, required=True, metavar="DIR")
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--quick", action="store_true", help="one size, stochastic, 3 repeats")

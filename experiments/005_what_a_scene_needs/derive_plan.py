@@ -1,10 +1,11 @@
-"""From measurements to `jaxblur.plan`: fit the candidates, measure what they lose, fit the rules.
+"""Derive the constants of `jaxblur.plan`: fit the candidates, measure their loss, fit the rules.
 
     python -m experiments.005_what_a_scene_needs.derive_plan -o OUT
 
-Candidates of guertin2014 are fitted to catalogue scenes at 15 samples; all are scored on them at
-several numbers of samples and two shutters, and a ridge regression predicts what each loses. Writes
-``planning_constants.json``, which belongs into the package; ``validate_plan`` then tries it.
+Candidates of guertin2014 are fitted to catalogue scenes at 15 samples. All candidates are scored on
+these scenes at several numbers of samples and two shutters, and a ridge regression predicts the
+loss of each. Writes ``planning_constants.json``, which belongs in the package; ``validate_plan``
+then tries it.
 """
 
 import dataclasses
@@ -35,7 +36,7 @@ FITTED_AT, FITTED_RADIUS = 15, 16
 SHUTTERS = (1.0, 2.0)
 SAMPLES = (9, 15, 35)
 RIDGE = 0.1
-"""Penalty on the slopes of a rule, not on its constant, for features of size one."""
+"""Penalty on the slopes of a rule, but not on its constant; features are of size one."""
 FULL = "layered"
 RADIUS_STEP = 16
 """Radii are rounded up to multiples of this, so that few programs are compiled."""
@@ -48,9 +49,9 @@ class Candidate:
 
     Attributes:
         filter: a key of `jaxblur.FILTERS`.
-        settings: that differ from the published ones.
-        free: parameters that are fitted.
-        fixed: parameters that are not, and differ from the published ones.
+        settings: settings that differ from the published ones.
+        free: names of the parameters that are fitted.
+        fixed: values of parameters that are not fitted and differ from the published ones.
     """
 
     filter: str
@@ -79,7 +80,7 @@ CANDIDATES = {
 
 
 def fitted(candidate: Candidate, examples: Sequence[Example]) -> dict[str, float]:
-    """Parameters of a candidate at `FITTED_AT` samples; as published for other filters."""
+    """Parameters of a candidate, fitted at `FITTED_AT` samples, or published if not guertin2014."""
     if candidate.filter != common.GUERTIN:
         return filter_info(candidate.filter).defaults
     settings = jaxblur.GuertinSettings(
@@ -89,7 +90,7 @@ def fitted(candidate: Candidate, examples: Sequence[Example]) -> dict[str, float
 
 
 def at_samples(parameters: Mapping[str, float], samples: int) -> dict[str, float]:
-    """The same parameters for another number of samples: jitter is kept in spacings."""
+    """Adapt parameters to another number of samples: jitter keeps its size in sample spacings."""
     if "phi" not in parameters:
         return dict(parameters)
     return dict(parameters) | {"phi": parameters["phi"] * samples / FITTED_AT}
@@ -99,7 +100,7 @@ Run = Callable[..., jax.Array]
 
 
 def runs(parameters: Mapping[str, Mapping[str, float]], radius: int) -> dict[tuple[str, int], Run]:
-    """Every candidate at every number of samples, as functions of frame and noise."""
+    """Every candidate at every number of samples, as a function of frame and noise."""
     table = {}
     for (label, candidate), samples in itertools.product(CANDIDATES.items(), SAMPLES):
         info = filter_info(candidate.filter)
@@ -128,7 +129,7 @@ def moving_psnr(run: Run, example: Example) -> float:
 def losses(
     parameters: Mapping[str, Mapping[str, float]], examples: Sequence[Example]
 ) -> tuple[list[FrameStatistics], dict[tuple[str, int], np.ndarray]]:
-    """Statistics of every frame, and what every run loses against the full filter there, dB."""
+    """Statistics of every frame, and the loss of every run against the full filter on it, in dB."""
     statistics = [frame_statistics(example.frame) for example in examples]
     measured: dict[tuple[str, int], list[float]] = {}
     for example, known in zip(examples, statistics, strict=True):
@@ -159,9 +160,9 @@ def left_out_spread(features: np.ndarray, loss: np.ndarray, groups: Sequence[str
 def rates(
     parameters: Mapping[str, Mapping[str, float]], examples: Sequence[Example], repeats: int
 ) -> dict[tuple[str, int], float]:
-    """Milliseconds for each megapixel: the least of interleaved runs on one mosaic.
+    """Milliseconds per megapixel: the shortest of interleaved runs on one mosaic.
 
-    What else the machine does can only add to the least.
+    Other load on the machine only makes runs longer, so the shortest is the least disturbed.
     """
     frame = common.mosaic(examples, 5)
     times: dict[tuple[str, int], list[float]] = {}
@@ -180,7 +181,7 @@ def derive(
     examples: Sequence[Example],
     speed: Mapping[tuple[str, int], float],
 ) -> dict[str, Any]:
-    """The constants of the rules, one record for each run."""
+    """Derive the constants of the rules, one record for each run."""
     statistics, lost = losses(parameters, examples)
     features = np.stack([known.features for known in statistics])
     groups = [example.name for example in examples]
@@ -209,7 +210,7 @@ def _rounded(value: float) -> float:
 
 
 def main() -> None:
-    """Fit, measure, derive, write."""
+    """Fit, measure, derive, and write the constants."""
     options = common.output_parser("Derive the constants of jaxblur.plan.").parse_args()
     examples = [
         common.catalogue_example(name, SIZE, shutter, TRUTH_SAMPLES)

@@ -1,9 +1,9 @@
-"""What does a scene need of `layered`? Its parts switched off one at a time.
+"""Which parts of `layered` does a scene need? Parts are switched off one at a time.
 
     python -m experiments.005_what_a_scene_needs.layered_parts -o OUT [--reference-data DIR]
 
-The scenes of `run`, judged over the pixels that motion reaches, with random noise: how much PSNR
-is lost by kind of scene without each part, and what `layered` is ahead of guertin2014 and of
+Measures on the scenes of `run`, over the pixels that motion reaches, with random noise: the PSNR
+that `layered` loses without each part, by kind of scene, and its lead over guertin2014 and
 pixel_velocity as published. Nothing is fitted. Writes ``layered_parts.csv`` and ``.md``.
 """
 
@@ -33,7 +33,7 @@ WITHOUT: dict[str, tuple[str, dict[str, float], dict[str, Any]]] = {
     "all (guertin2014)": ("guertin2014", {}, {"fetch": "nearest"}),
     "all (pixel_velocity)": ("pixel_velocity", {}, {"fetch": "nearest"}),
 }
-"""Filter, parameters and settings that differ, for each part that is left out."""
+"""For each part that is left out: the filter, and the parameters and settings that differ."""
 
 
 def score(example: Example, name: str, values: dict[str, float], changes: dict[str, Any]) -> float:
@@ -49,9 +49,9 @@ def score(example: Example, name: str, values: dict[str, float], changes: dict[s
 
 
 def main() -> None:
-    """Render, judge, write."""
+    """Render, judge, and write the table."""
     options = common.output_parser(
-        "What each part of layered gains.", "judge on these too"
+        "Gain of each part of layered.", "judge on these too"
     ).parse_args()
     names = [name for half in HALVES for name in half]
     examples = [common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES) for name in names]

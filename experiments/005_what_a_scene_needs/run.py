@@ -2,9 +2,9 @@
 
     python -m experiments.005_what_a_scene_needs.run -o OUT [--reference-data DIR] [--quick]
 
-Scenes are split into two halves with the same kinds of motion; every variant is fitted on each
-half and judged on the other, and on the rendered scenes by the mean of the two fits. Times are
-medians over interleaved runs on one mosaic of all frames. Seeds are fixed.
+Scenes are split into two halves with the same kinds of motion. Every variant is fitted on each half
+and judged on the other half and on the rendered scenes, whose scores are means over both fits.
+Times are medians over interleaved runs on one mosaic of all frames. Seeds are fixed.
 """
 
 import argparse
@@ -47,10 +47,10 @@ class Component:
     """A part of the filter that can be switched off.
 
     Attributes:
-        on: settings with it.
-        off: settings without it.
-        free: parameters that only matter with it.
-        fixed: parameters that switch it off.
+        on: settings that switch it on.
+        off: settings that switch it off.
+        free: parameters that have an effect only when it is on.
+        fixed: values of parameters that switch it off.
     """
 
     on: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -69,15 +69,15 @@ COMPONENTS = {
     "tile jitter": Component({"tile_choice": "stochastic"}, {"tile_choice": "own"}, ("tau",)),
     "variance split": Component({"split": "variance"}, {"split": "even"}),
 }
-"""In nested order: what was expected to matter most comes first."""
+"""In nested order: components that were expected to matter most come first."""
 
 
 class Variant(NamedTuple):
     """The filter with some components.
 
     Attributes:
-        label: for tables.
-        present: names of components.
+        label: name in tables.
+        present: names of the components that are on.
     """
 
     label: str
@@ -85,7 +85,7 @@ class Variant(NamedTuple):
 
     @property
     def settings(self) -> jaxblur.GuertinSettings:
-        """The settings that switch the components."""
+        """Settings that switch each component on or off."""
         chosen: dict[str, Any] = {}
         for name, component in COMPONENTS.items():
             chosen |= component.on if name in self.present else component.off
@@ -93,20 +93,20 @@ class Variant(NamedTuple):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Parameters that matter."""
+        """Parameters of the components that are on."""
         return tuple(
             p for name in COMPONENTS if name in self.present for p in COMPONENTS[name].free
         )
 
     @property
     def fixed(self) -> dict[str, float]:
-        """Parameters of the components that are absent."""
+        """Values of parameters that switch the other components off."""
         absent = [c for name, c in COMPONENTS.items() if name not in self.present]
         return {key: value for component in absent for key, value in component.fixed.items()}
 
 
 def variants() -> list[Variant]:
-    """Nothing, each component alone, in nested order, all but each, and all; no set twice."""
+    """No component, each alone, the first n, all but one, and all; no set occurs twice."""
     names = list(COMPONENTS)
     sets = {"nothing": frozenset(), "all": frozenset(names)}
     sets |= {f"only {name}": frozenset([name]) for name in names}
@@ -116,7 +116,7 @@ def variants() -> list[Variant]:
 
 
 class Judged(NamedTuple):
-    """Held-out figures of one variant on one scene, over the pixels that motion reaches."""
+    """Held-out scores of one variant on one scene, over the pixels that motion reaches."""
 
     variant: str
     scene: str
@@ -160,7 +160,7 @@ def cross_validate(
 def milliseconds(
     runs: Mapping[str, tuple[Any, jaxblur.GuertinSettings]], frame: jaxblur.Frame, repeats: int
 ) -> dict[str, float]:
-    """Median time of each run on one frame; rounds are interleaved so that all share the load."""
+    """Median time of each run on one frame; runs are interleaved so that load affects all alike."""
     times: dict[str, list[float]] = {label: [] for label in runs}
     for turn, (label, (record, settings)) in itertools.product(range(repeats + 1), runs.items()):
         started = time.perf_counter()
@@ -171,13 +171,13 @@ def milliseconds(
 
 
 def mean_psnr(judged: Sequence[Judged], variant: str, kind: str | None) -> float:
-    """Mean over scenes of a kind, or all but the rendered ones."""
+    """Mean PSNR of a variant over the scenes of a kind, or over all if `kind` is None."""
     wanted = [j for j in judged if j.variant == variant]
     return float(np.mean([j.psnr for j in wanted if j.kind == kind or not kind]))
 
 
 def gains(judged: Sequence[Judged], times: Mapping[str, float], kinds: Sequence[str]) -> list[Any]:
-    """One row for each component, way of adding it, and kind of scene."""
+    """One row for each component, each way of adding it, and each kind of scene."""
     names, rows = list(COMPONENTS), []
     nested = ["nothing", f"only {names[0]}", *[f"first {n}" for n in range(2, len(names) - 1)]]
     nested += [f"all but {names[-1]}", "all"]
@@ -195,12 +195,12 @@ def gains(judged: Sequence[Judged], times: Mapping[str, float], kinds: Sequence[
 
 
 def per_millisecond(gain: float, cost: float) -> float | str:
-    """Gain for each millisecond; a component that costs less than timing noise has none."""
+    """Gain per millisecond, or "free" if the cost is below the timing noise."""
     return gain / cost if cost > 0.5 else "free"
 
 
 def draw(path: Path, rows: Sequence[Any], kinds: Sequence[str]) -> None:
-    """Bars of the gain of each component by kind of scene, for the three ways of adding it."""
+    """Draw bars: gain of each component by kind of scene, for the three ways of adding it."""
     figure = show.new_figure(11, 4.2)
     axes = figure.subplots(1, 3, sharey=True)
     titles = {"alone": "added to nothing", "nested": "added in this order", "last": "added last"}
@@ -227,8 +227,8 @@ def load(options: argparse.Namespace) -> tuple[list[list[Example]], list[Example
 
 def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = common.output_parser("What each component of guertin2014 gains.", "judge on these too")
-    parser.add_argument("--steps", type=int, default=12, help="of each fit (default %(default)s)")
+    parser = common.output_parser("Gain of each component of guertin2014.", "judge on these too")
+    parser.add_argument("--steps", type=int, default=12, help="steps per fit (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="four scenes, three variants")
     return parser.parse_args()
 

@@ -1,9 +1,10 @@
-"""Does `jaxblur.plan` keep its word on scenes that it was not derived from?
+"""Does `jaxblur.plan` stay within its tolerance on scenes that it was not derived from?
 
     python -m experiments.005_what_a_scene_needs.validate_plan -o OUT [--reference-data DIR]
 
-For every scene and tolerance: what is chosen, the loss expected and measured against the full
-filter over the pixels that motion reaches, and the share of time saved by the stored constants.
+Writes for every scene and tolerance: the choice of the plan; its expected and its measured loss
+against the full filter over the pixels that motion reaches; and the share of time saved, by the
+stored constants.
 """
 
 import itertools
@@ -25,7 +26,7 @@ TOLERANCES = (0.25, 0.5, 1.0, 2.0)
 
 
 def full_plan(frame: jaxblur.Frame) -> jaxblur.Plan:
-    """The filter that losses are measured against, as a plan for this frame."""
+    """A plan for this frame with the filter against which losses are measured."""
     (record,) = [
         record
         for record in constants()["candidates"].values()
@@ -61,7 +62,7 @@ def rows_of(example: Example) -> list[Any]:
     """One row for each tolerance."""
     full = full_plan(example.frame)
     plans = [jaxblur.plan(example.frame, tolerance_db=tolerance) for tolerance in TOLERANCES]
-    # Equal choices are measured once; their reasons differ.
+    # Plans may differ in their reasons alone; measure equal choices once.
     measured: dict[Any, float] = {}
     for plan in (full, *plans):
         key = plan.filter, plan.settings, plan.parameters
@@ -79,7 +80,7 @@ def rows_of(example: Example) -> list[Any]:
 
 
 def main() -> None:
-    """Render, plan, measure, write."""
+    """Render, plan, measure, and write the table."""
     options = common.output_parser(
         "Try jaxblur.plan on other scenes.", "try on these too"
     ).parse_args()

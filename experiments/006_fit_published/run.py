@@ -1,11 +1,11 @@
-"""What does fitting the published filter gain on scenes that were not fitted?
+"""How much does fitting improve the published filter on scenes that were not fitted?
 
     python -m experiments.006_fit_published.run -o OUT [--reference-data DIR] [--quick]
 
-guertin2014 with 15 samples and a radius for small frames is fitted with each
-catalogue scene left out in turn and judged on that scene; a fit to all of them is judged on the
-rendered scenes. Profiles and standard errors are those of a fit to three scenes. Figures are
-over the pixels that motion reaches. Seeds are fixed.
+guertin2014, with 15 samples and a radius for small frames, is fitted with each catalogue scene left
+out in turn and judged on that scene. A fit to all of them is judged on the rendered scenes.
+Profiles and standard errors are of a fit to three scenes. Scores are over the pixels that motion
+reaches. Seeds are fixed.
 """
 
 import argparse
@@ -46,7 +46,7 @@ Parameters = Mapping[str, float]
 
 
 class Judged(NamedTuple):
-    """Figures of one picture: which scene, by which parameters, under which noise."""
+    """Scores of one picture, with its scene, its parameters and its noise seed."""
 
     scene: str
     parameters: str
@@ -64,7 +64,7 @@ def blur(frame: jaxblur.Frame, parameters: Parameters, seed: int) -> jax.Array:
 
 
 def judge(example: Example, label: str, parameters: Parameters) -> list[Judged]:
-    """Score a scene under every noise seed, over the pixels that motion reaches."""
+    """Score a scene with every noise seed, over the pixels that motion reaches."""
     mask = metrics.motion_footprint(example.frame)
     rows = []
     for seed in SEEDS:
@@ -74,7 +74,7 @@ def judge(example: Example, label: str, parameters: Parameters) -> list[Judged]:
 
 
 def leave_one_out(examples: Sequence[Example], steps: int) -> dict[str, common.Refit]:
-    """Fit to all scenes but one, for each."""
+    """For each scene, fit to all other scenes."""
     fits = {}
     for example in examples:
         training = [other for other in examples if other.name != example.name]
@@ -85,7 +85,7 @@ def leave_one_out(examples: Sequence[Example], steps: int) -> dict[str, common.R
 
 
 def scene_means(judged: Sequence[Judged], label: str, figure: str) -> dict[str, float]:
-    """Mean over noise seeds for each scene."""
+    """Mean score of each scene over noise seeds."""
     values: dict[str, list[float]] = {}
     for row in judged:
         if row.parameters == label:
@@ -94,7 +94,7 @@ def scene_means(judged: Sequence[Judged], label: str, figure: str) -> dict[str, 
 
 
 def seed_spread(judged: Sequence[Judged], scene: str, figure: str) -> float:
-    """Half the 95 % interval over noise seeds of the gain of one scene."""
+    """Half the 95 % interval of one scene's gain, over noise seeds."""
     by_label = {
         label: [getattr(r, figure) for r in judged if (r.scene, r.parameters) == (scene, label)]
         for label in ("published", "fitted")
@@ -104,7 +104,7 @@ def seed_spread(judged: Sequence[Judged], scene: str, figure: str) -> float:
 
 
 def summary(judged: Sequence[Judged], catalogue: Sequence[str]) -> list[Any]:
-    """One row for each scene and figure, and the gain pooled over the scenes of the catalogue."""
+    """One row for each scene and measure, and the gain pooled over the catalogue scenes."""
     rows = []
     for figure in ("psnr", "ssim", "flip"):
         before, after = (scene_means(judged, label, figure) for label in ("published", "fitted"))
@@ -143,12 +143,12 @@ def temporal(name: str, parameters: Mapping[str, Parameters]) -> list[Any]:
 
 
 def enlarged(image: Any) -> np.ndarray:
-    """Repeat pixels, so that small frames can be looked at."""
+    """Repeat pixels, to enlarge small frames for viewing."""
     return np.asarray(image).repeat(ENLARGE, axis=0).repeat(ENLARGE, axis=1)
 
 
 def sheet_row(example: Example, candidates: Sequence[Parameters]) -> list[np.ndarray]:
-    """Sharp, one picture for each set of parameters, truth, and the errors of the pictures."""
+    """Sharp frame, one picture for each set of parameters, truth, and the pictures' errors."""
     images = [blur(example.frame, parameters, SEEDS[0]) for parameters in candidates]
     errors = [pictures.error_image(image, example.truth) for image in images]
     return [enlarged(part) for part in (example.frame.color, *images, example.truth, *errors)]
@@ -157,7 +157,7 @@ def sheet_row(example: Example, candidates: Sequence[Parameters]) -> list[np.nda
 def unmended(
     output: Path, examples: Sequence[Example], others: Mapping[str, Parameters], steps: int
 ) -> list[Any]:
-    """Fit to one scene alone: what then remains, no parameters mend. Writes a picture for each."""
+    """Fit to each scene of `UNMENDED` alone: no parameters correct the rest. Writes pictures."""
     rows = []
     known = {example.name: example for example in examples}
     for cause, name in UNMENDED.items():
@@ -182,7 +182,7 @@ def _published() -> dict[str, float]:
 
 
 def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:
-    """`jaxblur.fit` as a user runs it, with scans and standard errors."""
+    """Run `jaxblur.fit` as a user would, with scans and standard errors."""
     pairs = [(example.frame, example.truth) for example in examples]
     return jaxblur.fit(
         GUERTIN,
@@ -197,7 +197,7 @@ def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:
 
 
 def draw_curves(path: Path, fits: Mapping[str, common.Refit]) -> None:
-    """Loss against step for every fold, as a share of the first loss."""
+    """Draw the loss of every fold by step, as a share of the first loss."""
     lines = {
         f"without {name}": (range(len(fit.losses)), np.array(fit.losses) / fit.losses[0])
         for name, fit in fits.items()
@@ -206,7 +206,7 @@ def draw_curves(path: Path, fits: Mapping[str, common.Refit]) -> None:
 
 
 def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Example]) -> None:
-    """The loss along each parameter, the others held."""
+    """Draw the loss along each parameter, with the others fixed."""
     pairs = [(example.frame, example.truth) for example in examples]
     figure = show.new_figure(13, 2.8)
     for axis, name in zip(figure.subplots(1, len(FREE), sharey=True), FREE, strict=True):
@@ -221,7 +221,7 @@ def draw_profiles(path: Path, result: fitting.FitResult, examples: Sequence[Exam
 
 def parse_arguments() -> argparse.Namespace:
     """Parse the command line."""
-    parser = common.output_parser("What fitting the published filter gains.", "judge on these too")
+    parser = common.output_parser("Gain of fitting the published filter.", "judge on these too")
     parser.add_argument("--quick", action="store_true", help="two scenes, two steps, tables only")
     return parser.parse_args()
 
@@ -229,7 +229,7 @@ def parse_arguments() -> argparse.Namespace:
 def shots(
     examples: Sequence[Example], candidates: Mapping[str, Mapping[str, Parameters]]
 ) -> Iterator[report.Shot]:
-    """Every scene by every set of parameters, for ``jaxblur report``."""
+    """Every scene with every set of parameters, for ``jaxblur report``."""
     for example in examples:
         found = [
             report.Picture(
@@ -244,7 +244,7 @@ def shots(
 
 
 def write_scores(output: Path, judged: Sequence[Judged], names: Sequence[str]) -> None:
-    """The summary, and every figure behind it."""
+    """Write the summary and all scores."""
     heads = ("scene", "figure", "published", "fitted", "gain", "± 95 %", "over")
     common.write_table(output, "summary", heads, summary(judged, names))
     common.write_table(output, "scores", Judged._fields, judged)
@@ -256,7 +256,7 @@ def run_rest(
     others: Sequence[Example],
     fits: Mapping[str, common.Refit],
 ) -> list[Judged]:
-    """Rendered scenes, curves, profiles, sequences, pictures."""
+    """Judge the rendered scenes, and write curves, profiles, sequences and pictures."""
     published = _published()
     all_scenes = common.refit(examples, SETTINGS, FREE, {}, STEPS).parameters
     compared = {"published": published, "fitted": all_scenes}
@@ -296,7 +296,7 @@ def run_rest(
 
 
 def main() -> None:
-    """Fit every fold, judge, and write tables and pictures."""
+    """Fit every fold, judge the fits, and write tables and pictures."""
     options = parse_arguments()
     output = options.output
     names = SCENES[2:4] if options.quick else SCENES

@@ -1,7 +1,7 @@
-"""What the alternatives to `jaxblur.guertin2014` have in common: inputs, the check, the timing.
+"""Shared by the alternatives to `jaxblur.guertin2014`: inputs, the check, the timing.
 
-An alternative counts only if it computes the same image: every one is compared with the filter
-before it is timed.
+An alternative counts only if it computes the same image, so each is compared with the filter before
+it is timed.
 """
 
 import argparse
@@ -19,10 +19,10 @@ from jaxblur.bench.timing import time_in_turn
 from jaxblur.noise import make_noise
 
 TOLERANCE = 1e-3
-"""Largest difference between an alternative and the filter, in a color of range 1 ..."""
+"""Largest difference allowed between an alternative and the filter, for color of range 1."""
 SHARE = 1e-4
-"""... but for this share of the pixels: a tap within rounding of the border between two texels
-may read either, and fastmath and XLA round differently."""
+"""Share of the pixels that may differ by more: a tap within rounding error of the border between
+two texels may read either texel, and fastmath and XLA round differently."""
 
 
 class Inputs(NamedTuple):
@@ -34,7 +34,7 @@ class Inputs(NamedTuple):
         velocity: (H, W, 2) half-spread in pixels.
         tap: (H, W) noise of the taps in [-1, 1).
         tile: (H, W, 2) noise of the tiles in [-0.5, 0.5).
-        parameters: of the filter.
+        parameters: parameters of the filter.
         samples: taps per pixel.
         radius: tile size in pixels.
     """
@@ -49,7 +49,7 @@ class Inputs(NamedTuple):
     radius: int
 
     def scalars(self) -> tuple[np.float32, ...]:
-        """Kappa, gamma, tau, spread of the jitter in spacings, depth sharpness."""
+        """Kappa, gamma, tau, spread of the jitter in sample spacings, depth sharpness."""
         p = self.parameters
         values = (p.kappa, p.gamma, p.tau, p.eta * p.phi / self.samples, p.depth_sharpness)
         return tuple(np.float32(value) for value in values)
@@ -62,8 +62,8 @@ def make_inputs(frame: jaxblur.Frame, settings: jaxblur.Settings) -> Inputs:
     """Convert a frame, with the noise that the settings name.
 
     Args:
-        frame: color of three channels.
-        settings: samples, radius and noise are taken.
+        frame: a frame with three color channels.
+        settings: only samples, radius and noise are used.
 
     Returns:
         The inputs, with the published parameters.
@@ -100,16 +100,16 @@ def check(name: str, alternative: Alternative, frame: jaxblur.Frame, settings) -
     """Compare an alternative with the filter.
 
     Args:
-        name: for the message.
-        alternative: to check.
-        frame: to blur.
-        settings: of the run.
+        name: name of the alternative, for the message.
+        alternative: function to check.
+        frame: frame to blur.
+        settings: settings of the filter.
 
     Returns:
         The share of pixels that differ by more than `TOLERANCE`.
 
     Raises:
-        ValueError: it is larger than `SHARE`, or the image differs by more in the mean.
+        ValueError: the share is larger than `SHARE`.
     """
     expected = np.asarray(filter_run(frame, settings)())
     given = alternative(make_inputs(frame, settings))
@@ -131,10 +131,10 @@ def _parse_arguments(name: str) -> argparse.Namespace:
 
 
 def check_and_time(name: str, alternative: Alternative) -> None:
-    """Check an alternative on the command line, then time it in turn with the filter.
+    """Command line of an alternative: check it, then time it in turn with the filter.
 
     Args:
-        name: of the alternative.
+        name: name of the alternative.
         alternative: the filter in another library.
     """
     options = _parse_arguments(name)

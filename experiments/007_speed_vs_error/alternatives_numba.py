@@ -1,11 +1,11 @@
-"""guertin2014 as one would write it in numba instead: loops, parallel over rows, fastmath.
+"""guertin2014 as one would write it in numba: loops, parallel over rows, fastmath.
 
     pip install numba
     python -m experiments.007_speed_vs_error.alternatives_numba [--size WIDTHxHEIGHT]
 
 The same algorithm as `jaxblur.guertin2014` (nearest fetch, two directions, even split), with the
-same quantities computed once for each pixel beforehand. Checks itself against the filter, then
-times both in turn on a frame in which every tile moves.
+same quantities precomputed for each pixel. Checks the result against the filter, then times both in
+turn on a frame in which every tile moves.
 """
 
 import numba  # pyright: ignore[reportMissingImports]
@@ -20,7 +20,7 @@ NEAREST, FARTHEST = np.float32(1e-9), np.float32(1e18)
 
 @numba.njit(parallel=True, cache=True)
 def _prepare(depth, velocity, radius):
-    """Planes that taps read: clamped velocity, its speed, unit velocity, 1 / speed, depth."""
+    """Planes read by taps: clamped velocity, its speed, unit velocity, 1 / speed, depth."""
     height, width = depth.shape
     planes = np.empty((7, height, width), np.float32)
     for row in numba.prange(height):
@@ -80,7 +80,7 @@ def _neighbor_max(tiles):
 
 @numba.njit(inline="always")
 def _step(size, index, radius, jitter):
-    """-1, 0 or 1: the tile along one axis that the jittered lookup falls into."""
+    """Offset, -1, 0 or 1, to the tile along one axis that the jittered lookup falls into."""
     local = (np.float32(index % radius) + HALF) / np.float32(radius) + jitter
     return -1 if local < ZERO else (1 if local >= ONE else 0)
 
@@ -100,14 +100,14 @@ def _tile(row, column, radius, shape, jitter_x, jitter_y):
 
 @numba.njit(inline="always")
 def _unit(x, y):
-    """The vector with length 1, or 0."""
+    """The vector scaled to length 1; 0 stays 0."""
     norm = np.sqrt(x * x + y * y)
     return (x / norm, y / norm) if norm > ZERO else (ZERO, ZERO)
 
 
 @numba.njit(inline="always")
 def _center_direction(x, y, speed, along_x, along_y, gamma):
-    """The pixel's own direction, turned to the perpendicular of the dominant one if it is slow."""
+    """The pixel's own direction, turned toward the dominant one's perpendicular if it is slow."""
     side = -ONE if along_x * y < along_y * x else ONE
     share = min(max((speed - HALF) / gamma, ZERO), ONE)
     own_x, own_y = _unit(x, y)
@@ -119,13 +119,13 @@ def _center_direction(x, y, speed, along_x, along_y, gamma):
 
 @numba.njit(inline="always", fastmath=True)
 def _clip(value):
-    """Between 0 and 1."""
+    """Clip to the range from 0 to 1."""
     return min(max(value, ZERO), ONE)
 
 
 @numba.njit(inline="always", fastmath=True)
 def _weight(distance, along_pixel, along_sample, inverse_pixel, inverse_sample, separation):
-    """Weight of a tap (Annexe I), from the relative separation in depth, within -1 .. 1."""
+    """Weight of a tap (Annexe I); the relative separation in depth is within -1 .. 1."""
     in_front, behind = ONE - max(separation, ZERO), ONE + min(separation, ZERO)
     ramp = _clip(TEN * distance * max(inverse_pixel, inverse_sample) - CYLINDER_START)
     together = ONE - ramp * ramp * (THREE - TWO * ramp)
@@ -138,7 +138,7 @@ def _weight(distance, along_pixel, along_sample, inverse_pixel, inverse_sample, 
 
 @numba.njit(inline="always", fastmath=True)
 def _gather_taps(color, planes, along, center, reach, shifts, row, column):
-    """Weighted color, weight and number of the taps of a pixel that lie in the image."""
+    """Sums over the taps of a pixel that lie in the image: weighted color, weight, number."""
     height, width, _ = color.shape
     samples, start, sharpness = shifts
     step = TWO / np.float32(samples + 1)
@@ -201,7 +201,7 @@ def _gather(color, planes, tiles, tap, tile_noise, samples, radius, parameters):
 
 
 def guertin2014(inputs: Inputs) -> np.ndarray:
-    """The filter, whole: planes, tile maxima, gather.
+    """The whole filter: planes, tile maxima, gather.
 
     Args:
         inputs: frame, noise, parameters and settings as NumPy arrays and numbers.

@@ -1,9 +1,10 @@
-"""guertin2014 as one would write it in NumPy instead: whole images, one sample after the other.
+"""guertin2014 as one would write it in NumPy: whole images, one sample after the other.
 
     python -m experiments.007_speed_vs_error.alternatives_numpy [--size WIDTHxHEIGHT]
 
 The same algorithm as `jaxblur.guertin2014` (nearest fetch, two directions, even split). The
-functions take the array library as an argument, since PyTorch has the same ones by the same names.
+functions take the array library as an argument, since PyTorch has most functions under the same
+names.
 """
 
 from typing import Any
@@ -16,7 +17,7 @@ RING = [(ox, oy) for oy in (-1, 0, 1) for ox in (-1, 0, 1) if (ox, oy) != (0, 0)
 
 
 def unit(xp: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """Vectors with length 1, or 0."""
+    """The vectors scaled to length 1; 0 stays 0."""
     norm = xp.sqrt(x * x + y * y)
     norm = xp.where(norm > 0, norm, 1)
     return x / norm, y / norm
@@ -77,7 +78,7 @@ def chosen_tile(xp: Any, tile_noise: Any, tau: Any, radius: int, shape: tuple[in
 
 
 def directions(xp: Any, x: Any, y: Any, speed: Any, dominant: tuple[Any, Any], gamma: Any) -> Any:
-    """The unit vectors of the dominant and of the center direction."""
+    """Unit vectors of the dominant and the center direction."""
     along_x, along_y = unit(xp, *dominant)
     side = 1 - 2 * (along_x * y < along_y * x) * xp.ones_like(x)
     share = xp.clip((speed - 0.5) / gamma, 0, 1)
@@ -105,7 +106,7 @@ def weight(xp: Any, distance: Any, alignment: Any, inverse: Any, separation: Any
 
 
 def clamped(xp: Any, velocity: Any, radius: int) -> tuple[Any, Any, Any]:
-    """Velocity no faster than the radius, and its speed."""
+    """Velocity clamped to the length of the radius, and its speed."""
     x, y = velocity[..., 0], velocity[..., 1]
     speed = xp.sqrt(x * x + y * y)
     scale = radius / xp.clip(speed, radius, None)
@@ -123,11 +124,11 @@ def texel(xp: Any, distance: Any, along: tuple[Any, Any], shape: tuple[int, int]
 
 
 def guertin2014(inputs: Inputs, xp: Any = np) -> Any:
-    """The filter, whole.
+    """The whole filter.
 
     Args:
         inputs: frame, noise, parameters and settings, with arrays of the library.
-        xp: the library.
+        xp: the array library.
 
     Returns:
         (H, W, 3) linear light.

@@ -14,7 +14,7 @@ from .alternatives import Inputs, check_and_time
 
 
 class _Torch:
-    """PyTorch under NumPy's names, where they differ."""
+    """PyTorch, with NumPy's names for functions that it names differently."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(torch, name)

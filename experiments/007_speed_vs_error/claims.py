@@ -1,4 +1,4 @@
-"""What the papers say about speed, as ratios, beside the same ratios here."""
+"""Ratios of times in the papers, beside the same ratios here."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,21 +16,21 @@ GUERTIN_TABLE = {
     35: (1.68, 1.52, 3.77, 3.44),
     47: (2.18, 2.02, 4.91, 4.54),
 }
-"""Guertin et al. 2014, table 3.I. The 1.96 ms of N = 19 at 1080p is less than one direction took,
-and far from the 2.25 times of the other lines: probably a slip."""
+"""Guertin et al. 2014, table 3.I. The 1.96 ms of N = 19 at 1080p is less than the time of one
+direction, and not near 2.25 times the time at 720p as in the other lines: probably a misprint."""
 MCGUIRE_TIMES = {31: 6.2, 15: 3.0, 7: 2.8, 5: 2.7}
 """McGuire et al. 2012, section 3: ms at 1280x720 on a GeForce 480, by k samples."""
 
 
 class Claim(NamedTuple):
-    """A ratio.
+    """A ratio of two times.
 
     Attributes:
-        what: in words.
-        published: by the paper.
-        ours: of calibrated times, None if they were not measured.
-        spread: interquartile range of ours.
-        processor: ratio of the times of the processor.
+        what: which times, in words.
+        published: the ratio in the paper.
+        ours: our ratio of calibrated times; None if they were not measured.
+        spread: interquartile range of our ratio.
+        processor: our ratio of processor times.
     """
 
     what: str
@@ -44,7 +44,7 @@ Times = Callable[..., Figures | None]
 
 
 def _times(rows: Sequence[Row]) -> Times:
-    """Look up what was measured of a case."""
+    """Return a function that looks up the measurement of a case."""
 
     def look_up(method: str, size: tuple[int, int], **settings: Any) -> Figures | None:
         wanted = plan.make_case(method, **settings)
@@ -83,8 +83,8 @@ def claims(rows: Sequence[Row], sizes: Sequence[tuple[int, int]]) -> list[Claim]
     """Every claim with our ratio.
 
     Args:
-        rows: of results.
-        sizes: that stand for 720p and 1080p.
+        rows: the results.
+        sizes: (height, width) measured as 720p and as 1080p.
 
     Returns:
         The claims, in the order of the papers.

@@ -1,4 +1,4 @@
-"""The plots: time against error, and how time grows."""
+"""The plots: time against error, and growth of time."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,11 +17,11 @@ COLUMNS = 2
 
 
 def draw_fronts(path: Path, groups: Mapping[str, Sequence[Point]], error: str) -> None:
-    """Time against error on logarithmic axes, one plot for each group.
+    """Plot time against error on logarithmic axes, one plot for each group.
 
     Args:
-        path: of the PNG.
-        groups: points by title.
+        path: path of the PNG.
+        groups: points by title of the plot.
         error: ``flip`` or ``rmse``.
     """
     lines = -(-len(groups) // COLUMNS)
@@ -49,11 +49,11 @@ def draw_fronts(path: Path, groups: Mapping[str, Sequence[Point]], error: str) -
 
 
 def draw_growth(path: Path, rows: Sequence[Row]) -> None:
-    """Time against pixels, samples and radius; lines join what differs in nothing else.
+    """Plot time against pixels, samples and radius; a line joins cases that differ only in those.
 
     Args:
-        path: of the PNG.
-        rows: of the scene in which everything moves.
+        path: path of the PNG.
+        rows: results on the scene in which everything moves.
     """
     figure = Figure(figsize=(13, 6.5), layout="constrained")
     for cell, (name, factor) in zip(figure.subplots(1, len(FACTORS)), FACTORS.items(), strict=True):
@@ -87,7 +87,7 @@ def draw_growth(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _but(row: Row, factor: str) -> tuple[str, ...]:
-    """What a line of a plot has in common: everything but one factor."""
+    """Key of a line of a plot: the method and all factors but one."""
     parts = {
         "pixels": f"{row['width']}x{row['height']}",
         "samples": f"N={row['samples']}",

@@ -1,4 +1,4 @@
-"""What is measured, in which order: the sub-grid of the default run, the quick one, the product."""
+"""The cases that are measured, and their order: default run, quick run, full product."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ AXES = {
 SIZES = ((180, 320), (360, 640), (540, 960), (720, 1280), (1080, 1920))
 SHUTTER = 1.0
 MOVING_SCENE = "camera_turn"
-"""Everything moves in it, as in the frames that the papers timed."""
+"""A scene in which everything moves, as in the frames that the papers timed."""
 NO_TRUTH = "accumulate 0"
 REFERENCE_FRAME = "0011"
 SPEED_SAMPLES = (15, 35)
@@ -31,23 +31,23 @@ EVERY_TILE = "every tile moves"
 
 @dataclasses.dataclass(frozen=True)
 class Extent:
-    """How much is measured.
+    """The extent of a run. Sizes are (height, width) in pixels.
 
     Attributes:
-        scenes: of the catalogue, judged against their truth.
-        size: (height, width) of these.
-        truth_samples: images that make a truth.
-        axes: values by setting.
-        combined: values whose product is taken too.
-        sizes: that are timed with all filters.
-        growth: values that are timed at the second of the sizes.
-        claim_sizes: the two sizes of the paper's table, or smaller ones with their ratio.
-        claim_samples: of guertin2014 and of mcguire2012, from the papers' tables.
+        scenes: catalogue scenes that are judged against their truth.
+        size: size of these scenes.
+        truth_samples: images averaged for a truth.
+        axes: values by setting, changed one at a time.
+        combined: values by setting, measured in all combinations.
+        sizes: sizes at which all filters are timed.
+        growth: values by setting, timed at the second of the sizes.
+        claim_sizes: the two sizes of the paper's table, or smaller ones of the same ratio.
+        claim_samples: samples of guertin2014 and of mcguire2012 in the papers' tables.
         renderers: numbers of samples by renderer.
-        reference_samples: tried on rendered reference frames.
-        reference_scenes: number of these.
-        alternatives_size: of the frame that other libraries blur.
-        repeats: times that each case is timed.
+        reference_samples: numbers of samples on rendered reference frames.
+        reference_scenes: number of rendered reference scenes.
+        alternatives_size: size of the frame that other libraries blur.
+        repeats: number of times that each case is timed.
     """
 
     scenes: Sequence[str]
@@ -114,11 +114,11 @@ FULL = dataclasses.replace(
     growth={"samples": SAMPLES, "radius": (10, 20, 40, 80)},
     reference_samples=SAMPLES,
 )
-"""The product of all values on more scenes: a day rather than an hour."""
+"""The product of all values, on more scenes; takes about a day instead of an hour."""
 
 
 def _acceptable(case: Case) -> Case:
-    """The case, with one sample more where mcguire2012 needs an odd number."""
+    """The case, with one more sample if mcguire2012 has an even number, which it rejects."""
     settings = case.settings
     if case.method != "mcguire2012" or settings.samples % 2:
         return case
@@ -127,7 +127,7 @@ def _acceptable(case: Case) -> Case:
 
 
 def scene_jobs(extent: Extent) -> list[Job]:
-    """Every filter on scenes with their truth: one change at a time, and a small product."""
+    """Every filter on scenes with truth: settings changed one at a time, and a small product."""
     methods = [bench.UNBLURRED, *FILTERS]
     cases = bench.one_at_a_time(methods, extent.axes)
     if extent.combined:
@@ -143,7 +143,7 @@ def _scene(name: str, extent: Extent) -> Subject:
 
 
 def claim_jobs(extent: Extent) -> list[Job]:
-    """What the papers timed, at their sizes, each size in one batch."""
+    """The cases that the papers timed, at their sizes."""
     for_guertin, for_mcguire = extent.claim_samples
     axes = {"directions": ("two", "one"), "samples": for_guertin}
     cases = bench.product(["guertin2014"], axes)
@@ -152,7 +152,7 @@ def claim_jobs(extent: Extent) -> list[Job]:
 
 
 def growth_jobs(extent: Extent) -> list[Job]:
-    """Every filter at every size, and on one size with every number of samples and radius."""
+    """Every filter at every size, and at one size with every number of samples and every radius."""
     by_size = bench.product(FILTERS, {"samples": SPEED_SAMPLES})
     jobs = [(_timed(size), case) for size in extent.sizes for case in by_size]
     varied = bench.one_at_a_time(FILTERS, extent.growth)
@@ -164,7 +164,7 @@ def _timed(size: tuple[int, int]) -> Subject:
 
 
 def reference_jobs(extent: Extent, folder: Path) -> list[Job]:
-    """Every filter on rendered reference frames in full size."""
+    """Every filter on rendered reference frames at full size."""
     methods = [bench.UNBLURRED, *FILTERS]
     cases = bench.one_at_a_time(methods, {"samples": extent.reference_samples})
     truths = sorted(folder.glob(f"*/truth_{REFERENCE_FRAME}.exr"))[: extent.reference_scenes]
@@ -186,7 +186,7 @@ def _reference_subject(truth: Path) -> Subject:
 
 
 def alternative_jobs(extent: Extent, alternatives: Sequence[str]) -> list[Job]:
-    """guertin2014 by every backend of ours and by other libraries, on one frame."""
+    """guertin2014 with each of our backends and in other libraries, on one frame."""
     subject = bench.frame_subject(EVERY_TILE, bench.moving_frame(*extent.alternatives_size))
     plain = {"noise": "none"}
     cases = [

@@ -1,11 +1,10 @@
-"""Speed against error of every filter, beside what one could do instead.
+"""Speed against error of every filter, beside the alternatives.
 
     python -m experiments.007_speed_vs_error.run -o OUT [--reference-data DIR] [--quick | --full]
 
-Resumable: what OUT/results.csv holds for this code and machine is not measured again. Writes the
-CSV, pareto.md, pareto_flip.png, pareto_rmse.png, growth.md, growth.png, claims.md and
-alternatives.md. Noise is a fixed pattern; the only random numbers are those of ``stochastic``, with
-seed 0.
+Resumable: cases that OUT/results.csv holds for this code and machine are not measured again. Writes
+the CSV, pareto.md, pareto_flip.png, pareto_rmse.png, growth.md, growth.png, claims.md and
+alternatives.md. Noise is a fixed pattern; only ``stochastic`` is random, with seed 0.
 """
 
 import argparse
@@ -27,14 +26,14 @@ from .alternatives import check, make_inputs
 from .plan import Extent, Job
 
 ALTERNATIVES = {"numba": "numba", "numpy": "numpy", "torch": "torch"}
-"""Modules `alternatives_NAME` and the package that each needs."""
+"""The package that each module `alternatives_NAME` needs, by NAME."""
 BATCH = 12
 ROUND_LIMIT = 20.0
 LOG = logging.getLogger("jaxblur")
 
 
 def installed_alternatives() -> list[str]:
-    """Alternatives whose package is installed; the others are named in the log."""
+    """Alternatives whose package is installed; the others are logged."""
     found = []
     for name, package in ALTERNATIVES.items():
         if importlib.util.find_spec(package):
@@ -45,7 +44,7 @@ def installed_alternatives() -> list[str]:
 
 
 def alternative_method(name: str) -> Any:
-    """An alternative as `jaxblur.bench.measure` takes it; it is checked before it is timed."""
+    """An alternative in the form that `jaxblur.bench.measure` takes, with its check."""
 
     def method(subject: bench.Subject, settings: Settings) -> Any:
         module = importlib.import_module(f".alternatives_{name}", __package__)
@@ -58,7 +57,7 @@ def alternative_method(name: str) -> Any:
 
 
 def all_jobs(options: argparse.Namespace, extent: Extent) -> list[Job]:
-    """Everything that is to be measured, quick comparisons of time first."""
+    """Everything to measure, with the short comparisons of time first."""
     jobs = plan.alternative_jobs(extent, installed_alternatives())
     jobs += plan.claim_jobs(extent) + plan.growth_jobs(extent) + plan.scene_jobs(extent)
     if options.reference_data:
@@ -67,7 +66,7 @@ def all_jobs(options: argparse.Namespace, extent: Extent) -> list[Job]:
 
 
 def measure_all(path: Path, jobs: Sequence[Job], extent: Extent) -> list[Row]:
-    """Measure what the file lacks, writing it after every batch; the rows of all jobs."""
+    """Measure the jobs that the file lacks, write it after every batch; the rows of all jobs."""
     known = bench.read_rows(path) if path.exists() else []
     batches = bench.batches(jobs, known, BATCH)
     others = {name: alternative_method(name) for name in ALTERNATIVES}
@@ -96,7 +95,7 @@ def parse_arguments() -> argparse.Namespace:
         "--reference-data",
         type=Path,
         metavar="DIR",
-        help="rendered scenes, laid out as experiments/blender writes them",
+        help="rendered scenes as experiments/blender writes them",
     )
     extent = parser.add_mutually_exclusive_group()
     extent.add_argument("--quick", action="store_true", help="small, within two minutes")

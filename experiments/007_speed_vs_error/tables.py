@@ -20,23 +20,23 @@ BLENDER = {
     "flagpole": (3.13, 33.57, 23.26),
     "sky_car": (0.89, 22.84, 21.93),
 }
-"""Vector Blur node of Blender 5.0.1, 32 samples, 640x360, two cores of which it used about one: as
-the notes of the reference frames give them, measured on another day and machine."""
+"""Vector Blur node of Blender 5.0.1, 32 samples, 640x360, two cores of which it used about one.
+The figures are from the notes of the reference frames, measured on another day and machine."""
 
 
 FEWEST = 5
-"""Rows that suffice to fit three exponents and a scale."""
+"""Fewest rows to which three exponents and a scale are fitted."""
 TIMES = {"ms": "wall", "cpu_ms": "processor"}
 
 
 def write_all(folder: Path, rows: Sequence[Row], extent: Extent, reference: Path | None) -> None:
-    """Write every table and figure that the rows suffice for.
+    """Write every table and figure.
 
     Args:
-        folder: where to.
-        rows: each case once on each subject.
-        extent: of the run.
-        reference: where the rendered reference frames are, or None.
+        folder: output folder.
+        rows: results, each case once on each subject.
+        extent: extent of the run.
+        reference: folder of the rendered reference frames, or None.
     """
     (folder / "pareto.md").write_text(bench.report(rows), encoding="utf-8")
     for error in ("flip", "rmse"):
@@ -61,7 +61,7 @@ def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def _groups(rows: Sequence[Row], extent: Extent) -> dict[str, list[Point]]:
-    """Points by title: scene by scene, then pooled over the scenes of the catalogue."""
+    """Points by title: each scene, then the catalogue scenes pooled."""
     scenes = {key: bench.points(same) for key, same in bench.by_scene(rows).items()}
     groups = {f"{name} {w}x{h}": found for (name, w, h), found in scenes.items() if found}
     height, width = map(str, extent.size)
@@ -70,7 +70,7 @@ def _groups(rows: Sequence[Row], extent: Extent) -> dict[str, list[Point]]:
 
 
 def _shows_growth(row: Row) -> bool:
-    """Whether a filter was timed where all moves, with its published settings but for N and r."""
+    """Whether a row has a filter on the moving scene with only N and r not as published."""
     timed = row["scene"] == plan.MOVING_SCENE and row["source"] == plan.NO_TRUTH
     if not timed or row["method"] not in FILTERS:
         return False
@@ -151,7 +151,7 @@ def _alternatives_table(rows: Sequence[Row]) -> str:
 
 
 def _blender_table(rows: Sequence[Row]) -> str:
-    """The Vector Blur node as given, beside the filters as published."""
+    """Table of the Vector Blur node, by the notes, beside the filters as published."""
     heads = (
         "scene",
         "Vector Blur s (given)",

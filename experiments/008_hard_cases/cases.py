@@ -1,4 +1,4 @@
-"""The hard cases: small frames that sit where a motion blur filter can break."""
+"""The hard cases: small frames on which a motion blur filter could fail."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ class Case(NamedTuple):
 
     Attributes:
         group: ``motion``, ``depth``, ``color`` or ``shape``.
-        name: what is hard about it.
+        name: the difficulty.
         frame: NumPy buffers, float32 (or half, see `half_frame`).
         radius: tile size in pixels.
         samples: taps per pixel.
-        nonfinite: how NaN and infinity get past the door.
+        nonfinite: `jaxblur.finite_frame`'s way to treat NaN and infinity, ``error`` or ``ignore``.
     """
 
     group: str
@@ -63,7 +63,7 @@ def all_cases() -> list[Case]:
 
 
 def refused_frames() -> Iterator[tuple[str, jaxblur.Frame]]:
-    """Frames that `jaxblur.finite_frame` must refuse, by what is wrong with them."""
+    """Frames that `jaxblur.finite_frame` must reject, each with its defect."""
     for value in (-1.0, 0.0, -np.inf, np.nan):
         yield f"depth {value:g} at one pixel", _changed("depth", value)
     for buffer in ("color", "velocity"):
@@ -103,7 +103,7 @@ def _motion_cases() -> Iterator[Case]:
     }
     for name, speed in speeds.items():
         yield Case("motion", name, _with("velocity", speed * right))
-    # Along a diagonal, where rounding to r happens in both components.
+    # Along a diagonal, clamping to r rounds both components.
     yield Case("motion", "1e6 px, diagonal", _with("velocity", [1e6, -1e6]))
     sign = np.where((rows + columns) % 2 == 0, 1.0, -1.0)[..., None]
     yield Case("motion", "opposed at one pixel distance", _with("velocity", 4 * sign * right))

@@ -1,10 +1,10 @@
-"""What velocities in 8 bits cost, and why they are clamped radially.
+"""The cost of velocities in 8 bits, clamped radially or by component.
 
     python experiments/008_hard_cases/encoding.py -o OUT
 
 The frames of the tests, with their path-traced truth, are blurred with the vectors as they are,
-with `jaxblur.encode_velocity`, and with x and y encoded apart as McGuire et al. 2012 did. Radii
-are chosen so that none or many of the vectors are longer. Writes encoding.csv and encoding.md.
+with `jaxblur.encode_velocity`, and with x and y encoded separately as in McGuire et al. 2012. At
+one radius no vector is longer than it, at the other many are. Writes encoding.csv and encoding.md.
 """
 
 import dataclasses
@@ -34,13 +34,13 @@ COLUMNS = (
 
 
 def apart(velocity: jax.Array, radius: int) -> jax.Array:
-    """Clamp and encode x and y apart, ``v / 2r + 0.5`` in 8 bits [McGuire et al. 2012]."""
+    """Clamp and encode x and y separately: ``v / 2r + 0.5`` in 8 bits [McGuire et al. 2012]."""
     stored = jnp.round(jnp.clip(velocity / (2 * radius) + 0.5, 0, 1) * 255)
     return (stored / 255 - 0.5) * (2 * radius)
 
 
 def radial(velocity: jax.Array, radius: int) -> jax.Array:
-    """There and back through `jaxblur.encode_velocity`."""
+    """Encode with `jaxblur.encode_velocity`, then decode."""
     return jaxblur.decode_velocity(jaxblur.encode_velocity(velocity, radius), radius)
 
 
@@ -57,7 +57,7 @@ ENCODINGS: dict[str, Callable[[jax.Array, int], jax.Array]] = {
 
 
 def worst_angle(velocity: jax.Array, encoded: jax.Array) -> float:
-    """Largest angle in degrees between lines of motion, among vectors above 2 px."""
+    """Largest angle in degrees between original and encoded vectors, of those above 2 px."""
     x, y = np.asarray(velocity, float).reshape(-1, 2).T
     u, v = np.asarray(encoded, float).reshape(-1, 2).T
     fast = (np.hypot(x, y) > 2) & (np.hypot(u, v) > 0)
@@ -66,7 +66,7 @@ def worst_angle(velocity: jax.Array, encoded: jax.Array) -> float:
 
 
 def rows() -> list[tuple[str | int | float, ...]]:
-    """One row for each scene, filter, radius and encoding."""
+    """Blur and score: one row for each scene, filter, radius and encoding."""
     found = []
     for scene in SCENES:
         frame = jaxblur.read_frame(DATA / f"{scene}_frame_0011.exr", shutter=0.5)
@@ -102,7 +102,7 @@ def _of_radius(scene, name, radius, frame, truth):
 
 
 def main() -> None:
-    """Blur, compare, write the table."""
+    """Blur, compare, and write the table."""
     options = output_parser("Velocities in 8 bits.").parse_args()
     write_table(options.output, "encoding", COLUMNS, rows())
 

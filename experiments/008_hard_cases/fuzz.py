@@ -1,10 +1,10 @@
-"""Does a damaged EXR give one clear error, or a finite result, and never anything else?
+"""Does a damaged EXR always give one clear error or a finite result?
 
     python experiments/008_hard_cases/fuzz.py -o OUT [--count 5000] [--seed 1]
 
-Each damaged file goes through ``jaxblur info`` and the reading, checking and writing of
-``jaxblur blur``, in worker processes with a limit on memory and a watchdog; every tenth file
-that is read goes through the whole of ``jaxblur blur``. Writes fuzz.csv and fuzz.md.
+Each damaged file goes through ``jaxblur info``, and is read, checked and written as by
+``jaxblur blur``, in worker processes with a memory limit and a watchdog. Every tenth file that
+could be read also goes through ``jaxblur blur`` itself. Writes fuzz.csv and fuzz.md.
 """
 
 import argparse
@@ -36,14 +36,14 @@ from jaxblur.cli import main as command_line
 mutations = importlib.import_module("experiments.008_hard_cases.mutations")
 
 SECONDS, MEMORY_MB = 20.0, 1024
-"""One file may take so many seconds, and so much more address space than an idle process."""
+"""Limits for one file: seconds, and address space above that of an idle process."""
 
 GOOD = ("refused", "read")
 COLUMNS = ("damage", "files", "refused by info", "refused by blur", "read, finite", "wrong")
 
 
 def damaged_file(originals: Sequence[Path], seed: int, number: int) -> tuple[str, str, bytes]:
-    """The damaged file of a number: name of the original, way of damage, content."""
+    """The damaged file with this number: name of the original, kind of damage, content."""
     generator = np.random.default_rng((seed, number))
     original = originals[number % len(originals)]
     return original.stem, *mutations.mutate(original.read_bytes(), generator)
@@ -54,11 +54,11 @@ def check(path: Path, folder: Path, whole: bool = False) -> dict[str, Any]:
 
     Args:
         path: a damaged file.
-        folder: empty but for it and what is not hidden.
+        folder: folder for the output, without hidden files.
         whole: run ``jaxblur blur`` itself, which loads jax, instead of reading and writing.
 
     Returns:
-        ``info`` and ``blur``: "refused", "read", or what went wrong.
+        The outcomes of ``info`` and ``blur``: "refused", "read", or a description of the failure.
     """
     output = folder / "out.exr"
     info = _command("info", str(path))
@@ -79,7 +79,7 @@ def check(path: Path, folder: Path, whole: bool = False) -> dict[str, Any]:
 
 
 def _command(*arguments: str) -> str:
-    """Run a command in this process: "read", "refused", or what went wrong."""
+    """Run a command in this process: "read", "refused", or a description of the failure."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
@@ -123,12 +123,12 @@ def _judge(output: Path) -> str:
 
 
 def work(corpus: Path, seed: int, numbers: Sequence[int], whole: bool) -> None:
-    """Check files by number, one line of JSON for each, under the limit on memory."""
+    """Check files by number within the memory limit; print one line of JSON for each."""
     originals = sorted(corpus.glob("*.exr"))
-    # The decoder of htj2k prints remarks of its own on stdout.
+    # The htj2k decoder prints its own remarks to stdout.
     records = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    # What a first call loads does not count.
+    # Libraries that the first call loads do not count against the limit.
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "first.exr").write_bytes(originals[-1].read_bytes())
         check(Path(name) / "first.exr", Path(name), whole)
@@ -152,12 +152,12 @@ def work(corpus: Path, seed: int, numbers: Sequence[int], whole: bool) -> None:
 def supervise(
     corpus: Path, seed: int, numbers: Sequence[int], whole: bool = False
 ) -> Iterator[dict[str, Any]]:
-    """Run workers over the numbers; one that dies or hangs costs one file and is replaced.
+    """Run workers over the numbers; a worker that dies or hangs fails one file and is replaced.
 
     Args:
-        corpus: folder of whole files.
-        seed: of the damage.
-        numbers: of the files.
+        corpus: folder of undamaged files.
+        seed: seed of the damage.
+        numbers: numbers of the damaged files.
         whole: as `check`.
 
     Yields:
@@ -181,13 +181,13 @@ def supervise(
 def _one_worker(
     corpus: Path, seed: int, numbers: Sequence[int], whole: bool
 ) -> Iterator[dict[str, Any]]:
-    """Records of one worker; a last one of its own if the worker had to be stopped."""
+    """Records of one worker; the last one says "hung" if the worker had to be stopped."""
     command = [sys.executable, __file__, "--worker", str(corpus), "--seed", str(seed)]
     worker = subprocess.Popen(
         [*command, *(["--whole"] if whole else [])],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        # The same decoder again.
+        # The htj2k decoder prints to stderr too.
         stderr=subprocess.DEVNULL,
         text=True,
     )
@@ -224,12 +224,12 @@ def _pump(stream: Any, lines: "queue.Queue[str]") -> None:
 
 
 def is_good(record: dict[str, Any]) -> bool:
-    """Whether a file was refused or read, and nothing else."""
+    """Whether a file was cleanly rejected or read."""
     return record["info"] in GOOD and record["blur"] in GOOD
 
 
 def table(records: Sequence[dict[str, Any]]) -> list[tuple[Any, ...]]:
-    """Rows for `COLUMNS`, one for each way of damage and one for all."""
+    """Rows for `COLUMNS`, one for each kind of damage and one for all."""
     by_way = collections.defaultdict(list)
     for record in records:
         by_way[record["way"]].append(record)
@@ -248,14 +248,14 @@ def table(records: Sequence[dict[str, Any]]) -> list[tuple[Any, ...]]:
 
 
 def make_corpus(folder: Path) -> None:
-    """Files of every kind, and the frames of the tests."""
+    """Write undamaged files of every kind, and copy the frames of the tests."""
     mutations.write_corpus(folder)
     for path in (Path(__file__).parents[2] / "tests" / "data").glob("*.exr"):
         (folder / path.name).write_bytes(path.read_bytes())
 
 
 def main() -> None:
-    """Damage files, check them, write the tables."""
+    """Damage files, check them, and write the table."""
     parser = argparse.ArgumentParser(description="Fuzz reading and writing.")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR")
     parser.add_argument("--count", type=int, default=5000)

@@ -1,4 +1,4 @@
-"""What is measured of one filter on one hard case."""
+"""The measurements of one filter on one hard case."""
 
 import dataclasses
 import functools
@@ -14,25 +14,25 @@ from jaxblur.filters import FILTERS, filter_info
 from jaxblur.safe_math import safe_norm
 
 STEP, ASIDE = 1e-7, 1e-3
-"""Step of finite differences in float64, and how far beside a kink they are taken; of velocities
-in pixels or as a share of them, of depths and parameters as a share."""
+"""Step of finite differences in float64, and their distance from a kink. Both are in pixels plus a
+share of the speed for velocities, and a share of the value for depths and parameters."""
 
 SAME = 1e-3
-"""Two derivatives agree within this share of the largest in the image."""
+"""Two derivatives agree if they differ by less than this share of the largest in the image."""
 
 NO_CHANGE = 1e-6
-"""Derivatives by which a full change of the input changes a value (of a parameter: every value) by
-less than this share of the largest color are as good as 0: errors are shares of no less."""
+"""Least denominator of a gradient error, as a share of the largest color. Derivatives count as 0 if
+a full change of the input changes a value (for a parameter: each value on average) by less."""
 
 FLIPPED = 1e-4
-"""Relative error that rounding alone cannot make: a tap was read one texel further, or a
-comparison went the other way."""
+"""Relative error that rounding alone cannot cause: a tap read the next texel, or a comparison
+was reversed."""
 
 Inputs = dict[str, Any]
 
 
 class Setup(NamedTuple):
-    """A filter and its settings; hashable, one compilation for each shape and type.
+    """A filter and its settings; hashable, so that each shape and type compiles once.
 
     Attributes:
         name: of a registered filter.
@@ -44,20 +44,20 @@ class Setup(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """One row of figures.
+    """One row of results.
 
     Attributes:
         finite_value: every value is finite.
-        finite_gradient: every derivative is, reverse and forward, of every input.
+        finite_gradient: every derivative with respect to every input is finite, in both modes.
         error: largest difference between float32 and float64 where nothing flipped, as a share of
             the largest color.
-        flipped: share of the values where it is larger than `FLIPPED`.
-        gradient_error: the same for the reverse-mode gradient beside the kink, in the change that
-            a full change of the input would make: 99th percentile as a share of the largest, or
-            of `NO_CHANGE`; the worst input.
-        modes: difference between reverse and forward mode in float64, as a share.
-        wrong: share of values beside the kink where the derivative is not the central difference.
-        jumps: share of values beside it at which the filter itself jumps within the step.
+        flipped: share of the values where the difference is larger than `FLIPPED`.
+        gradient_error: error of the reverse-mode gradient in float32, beside the kink. Derivatives
+            are multiplied by a full change of their input. 99th percentile of the differences, as
+            a share of the largest product and at least of `NO_CHANGE`, for the worst input.
+        modes: relative difference between reverse and forward mode in float64.
+        wrong: share of values beside the kink whose derivative is not the central difference.
+        jumps: share of values beside the kink at which the filter jumps within the step.
     """
 
     finite_value: bool
@@ -71,7 +71,7 @@ class Numbers(NamedTuple):
 
 
 def call(setup: Setup, inputs: Inputs, noise: jaxblur.Noise | None = None) -> jax.Array:
-    """Run the filter on a dict of color, depth, velocity, parameters and perhaps valid."""
+    """Run the filter on a dict of color, depth, velocity, parameters and, optionally, valid."""
     buffers = {name: inputs[name] for name in ("color", "depth", "velocity")}
     frame = jaxblur.Frame(**buffers, valid=inputs.get("valid"))
     parameters = filter_info(setup.name).make_parameters(**inputs["parameters"])
@@ -86,7 +86,7 @@ def settings_of(name: str, settings: jaxblur.Settings) -> jaxblur.Settings:
 
 
 def as_inputs(setup: Setup, frame: jaxblur.Frame, dtype: str) -> Inputs:
-    """The inputs that can be differentiated, in one type."""
+    """A frame and the published parameters as a dict for `call`, all in one type."""
     values = filter_info(setup.name).defaults
     inputs: Inputs = {
         name: jnp.asarray(getattr(frame, name), dtype) for name in ("color", "depth", "velocity")
@@ -98,7 +98,7 @@ def as_inputs(setup: Setup, frame: jaxblur.Frame, dtype: str) -> Inputs:
 
 
 def directions(inputs: Inputs, seed: int = 5) -> Inputs:
-    """A random direction for every input; depth and parameters by a share of themselves."""
+    """A random direction for every input; those of depth and parameters are relative to them."""
     generator = np.random.default_rng(seed)
 
     def draw(value, relative):
@@ -116,9 +116,9 @@ def directions(inputs: Inputs, seed: int = 5) -> Inputs:
 
 
 def beside(inputs: Inputs) -> Inputs:
-    """The inputs moved a little to where no two values are equal, in their own type."""
+    """The inputs moved slightly so that no two values are equal, in their own type."""
     moves = directions(inputs, seed=6)
-    # By the speed and not the component: what is far beyond the radius is turned as well.
+    # Scaled by the speed, not by the component, to turn vectors far beyond the radius as well.
     velocity = inputs["velocity"]
     speed = safe_norm(velocity[..., 0], velocity[..., 1])
     moves["velocity"] = moves["velocity"] * (1 + speed[..., None])
@@ -135,7 +135,7 @@ def _split(inputs: Inputs) -> tuple[Inputs, Inputs]:
 
 
 def _derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array) -> Any:
-    """Value, reverse-mode gradient of its weighted sum, forward-mode derivative."""
+    """The value, the reverse-mode gradient of its weighted sum, and the forward-mode derivative."""
     free, fixed = _split(inputs)
     function = functools.partial(_of_free, setup, fixed)
     value, pull = jax.vjp(function, free)
@@ -143,7 +143,7 @@ def _derivatives(setup: Setup, inputs: Inputs, moves: Inputs, weight: jax.Array)
 
 
 derivatives = jax.jit(_derivatives, static_argnames=("setup",))
-# Programs of the reference run on small frames: what counts is the time to compile them.
+# Programs of the reference run on small frames, where compilation takes most of the time.
 _unoptimized = {"xla_backend_optimization_level": "0"}
 _reference = jax.jit(_derivatives, static_argnames=("setup",), compiler_options=_unoptimized)
 
@@ -160,7 +160,7 @@ def _at(setup: Setup, inputs: Inputs, moves: Inputs, step: jax.Array) -> jax.Arr
 
 
 def measure(setup: Setup, frame: jaxblur.Frame) -> Numbers:
-    """All figures of one filter on one frame."""
+    """Measure one filter on one frame."""
     weight = jnp.asarray(np.random.default_rng(9).normal(size=frame.color.shape), jnp.float32)
     inputs = as_inputs(setup, frame, "float32")
     moves, near = directions(inputs), beside(inputs)
@@ -214,7 +214,7 @@ def _gradient_error(single: Any, double: Any, inputs: Inputs) -> float:
 
 
 def _own_scales(inputs: Inputs) -> Inputs:
-    """A full change of each input: the largest color, the speed or a pixel, the depth."""
+    """A full change of each input: largest color, depth, speed (at least a pixel), parameter."""
     velocity, depth = np.asarray(inputs["velocity"]), np.asarray(inputs["depth"])
     scales: Inputs = {
         "color": max(float(np.abs(np.asarray(inputs["color"])).max()), 1e-30),
@@ -226,7 +226,7 @@ def _own_scales(inputs: Inputs) -> Inputs:
 
 
 def _between_modes(double: Any, moves: Inputs, weight: np.ndarray) -> float:
-    """``<weight, J move>`` against ``<J^T weight, move>``."""
+    """Relative difference between ``<weight, J move>`` and ``<J^T weight, move>``."""
     _, gradient, forward = double
     pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(moves), strict=True)
     products = np.concatenate([(np.asarray(a) * np.asarray(b)).ravel() for a, b in pairs])
@@ -238,14 +238,14 @@ def _between_modes(double: Any, moves: Inputs, weight: np.ndarray) -> float:
 def _against_differences(
     setup: Setup, inputs: Inputs, moves: Inputs, forward: np.ndarray
 ) -> tuple[float, float]:
-    """Shares of values whose derivative is wrong, and of those that jump within the step."""
+    """Share of values whose derivative is wrong, and share of values that jump within the step."""
     coarse, fine = (
         np.asarray(_at(setup, inputs, moves, step) - _at(setup, inputs, moves, -step)) / (2 * step)
         for step in (STEP, STEP / 8)
     )
     size = max(np.abs(forward).max(), float(np.abs(np.asarray(inputs["color"])).max()) * 1e-3)
     differs = np.abs(forward - fine) > SAME * size
-    # Across a jump the quotient grows as the step shrinks, or changes once the jump is passed.
+    # At a jump within the step, the difference quotient changes as the step shrinks.
     jumps = differs & (np.abs(coarse - fine) > SAME * size)
     return float((differs & ~jumps).mean()), float(jumps.mean())
 
@@ -256,7 +256,7 @@ def relative(setup: Setup, settings: dict[str, Any]) -> Setup:
 
 
 def broken_invariants(setup: Setup, frame: jaxblur.Frame) -> list[str]:
-    """Names of the invariants of the filters that this frame breaks; none should be."""
+    """Names of the invariants that the filter breaks on this frame; there should be none."""
     quiet = relative(setup, {"noise": "none", "tile_choice": "own"})
     color = np.asarray(frame.color, np.float32)
     value = _value(quiet, frame)
@@ -301,7 +301,7 @@ def broken_invariants(setup: Setup, frame: jaxblur.Frame) -> list[str]:
 
 
 SEES_DEPTH_RATIOS = ("guertin2014", "layered")
-"""Filters that compare depths by their ratio, so that the unit of depth does not matter."""
+"""Filters that compare depths by their ratio, so that the unit of depth has no effect."""
 
 
 def _scales(setup: Setup, frame: jaxblur.Frame, differs: Callable[[np.ndarray], bool]) -> bool:

@@ -27,10 +27,10 @@ HOSTILE = (
 
 
 class Attribute(NamedTuple):
-    """Where an attribute of a header lies in the file.
+    """Position of a header attribute in the file.
 
     Attributes:
-        name: of the attribute.
+        name: name of the attribute.
         kind: its type, such as ``box2i``.
         start: first byte of the name.
         value: first byte of the value.
@@ -58,10 +58,10 @@ def write_corpus(folder: Path) -> list[Path]:
     """Write one file of each kind: compressions, tiles, types, windows, parts, deep.
 
     Args:
-        folder: where to.
+        folder: output folder.
 
     Returns:
-        The files, all whole.
+        Paths of the files, all undamaged.
     """
     paths = [_write(folder / f"{name}.exr", compression=name) for name in COMPRESSIONS]
     paths.append(_write(folder / "tiled.exr", tile=8))
@@ -106,7 +106,7 @@ def _write(
 
 
 class _output:
-    """An open writer that is closed, and whose failures are errors."""
+    """Context of an open writer; failures to open or close it are errors."""
 
     def __init__(self, path: Path, *specs: Any):
         self._output: Any = oiio.ImageOutput.create(str(path))
@@ -152,7 +152,7 @@ def attributes(data: bytes) -> Iterator[Attribute]:
     """Walk the attributes of all headers.
 
     Args:
-        data: a whole EXR.
+        data: an undamaged EXR.
 
     Yields:
         Every attribute in order.
@@ -174,14 +174,14 @@ def attributes(data: bytes) -> Iterator[Attribute]:
 
 
 def mutate(data: bytes, generator: np.random.Generator) -> tuple[str, bytes]:
-    """Damage a file in one of the ways of `MUTATIONS`, at random.
+    """Damage a file by one of `MUTATIONS`, chosen at random.
 
     Args:
-        data: a whole EXR.
-        generator: decides all.
+        data: an undamaged EXR.
+        generator: source of all random choices.
 
     Returns:
-        The name of the way and the damaged file.
+        The name of the mutation and the damaged file.
     """
     name = str(generator.choice(list(MUTATIONS)))
     damaged = bytearray(data)
@@ -206,7 +206,7 @@ def _truncation(data: bytearray, generator: np.random.Generator) -> bytearray:
 
 
 def _block(data: bytearray, generator: np.random.Generator) -> bytearray:
-    """Cut out a block, or put it in twice."""
+    """Remove a block, or repeat it."""
     start, length = generator.integers(len(data)), generator.integers(1, 200)
     if generator.random() < 0.5:
         return data[:start] + data[start + length :]
@@ -214,7 +214,7 @@ def _block(data: bytearray, generator: np.random.Generator) -> bytearray:
 
 
 def _header_number(data: bytearray, generator: np.random.Generator) -> None:
-    """Put an extreme number somewhere in the value of an attribute."""
+    """Write an extreme number into the value of an attribute."""
     found = [a for a in attributes(bytes(data)) if a.size >= 4]
     chosen = found[generator.integers(len(found))]
     offset = chosen.value + 4 * int(generator.integers(chosen.size // 4))
@@ -222,7 +222,7 @@ def _header_number(data: bytearray, generator: np.random.Generator) -> None:
 
 
 def _absurd_size(data: bytearray, generator: np.random.Generator) -> None:
-    """Windows and tiles of absurd size."""
+    """Give a window or the tiles an absurd size."""
     found = [a for a in attributes(bytes(data)) if a.kind in (b"box2i", b"tiledesc")]
     chosen = found[generator.integers(len(found))]
     count = 4 if chosen.kind == b"box2i" else 2
@@ -234,7 +234,7 @@ def _absurd_size(data: bytearray, generator: np.random.Generator) -> None:
 
 
 def _attribute_size(data: bytearray, generator: np.random.Generator) -> None:
-    """Lie about the size of an attribute."""
+    """Change the stored size of an attribute."""
     found = list(attributes(bytes(data)))
     chosen = found[generator.integers(len(found))]
     value = int(generator.choice((*EXTREMES, chosen.size + 1, chosen.size - 1)))
@@ -242,7 +242,7 @@ def _attribute_size(data: bytearray, generator: np.random.Generator) -> None:
 
 
 def _channels(data: bytearray, generator: np.random.Generator) -> None:
-    """Swap two channels of equal length of name, or change type and sampling of one."""
+    """Swap two channels whose names have equal length, or change type or sampling of one."""
     lists = [a for a in attributes(bytes(data)) if a.kind == b"chlist"]
     chosen = lists[generator.integers(len(lists))]
     position, entries = chosen.value, []
@@ -260,7 +260,7 @@ def _channels(data: bytearray, generator: np.random.Generator) -> None:
 
 
 def _hostile_text(data: bytearray, generator: np.random.Generator) -> bytearray:
-    """Put text that would steer a terminal or a page into a name or a value."""
+    """Insert text that could control a terminal or a web page into a name or a value."""
     text = HOSTILE[generator.integers(len(HOSTILE))]
     found = list(attributes(bytes(data)))
     if generator.random() < 0.5:
@@ -279,7 +279,7 @@ def _hostile_text(data: bytearray, generator: np.random.Generator) -> bytearray:
 
 
 def _offsets(data: bytearray, generator: np.random.Generator) -> None:
-    """Entries of the table that says where the pixels lie."""
+    """Change entries of the table of pixel offsets."""
     *_, last = attributes(bytes(data))
     start = last.value + last.size + 1
     for _ in range(generator.integers(1, 5)):
@@ -290,7 +290,7 @@ def _offsets(data: bytearray, generator: np.random.Generator) -> None:
 
 
 def _values(data: bytearray, generator: np.random.Generator) -> None:
-    """Overwrite stored pixels with NaN, infinity and huge numbers (where not compressed)."""
+    """Overwrite stored bytes with NaN, infinity and huge numbers (pixels if not compressed)."""
     patterns = (0x7FC00000, 0x7F800000, 0xFF800000, 0x7F7FFFFF, 0x00000001, 0x7C007C00, 0xFE00FE00)
     for position in generator.integers(
         len(data) // 2, len(data) - 4, size=generator.integers(1, 9)

@@ -1,12 +1,13 @@
-"""Do the filters stay finite, precise and true to their invariants where it is hard?
+"""Do the filters stay finite and precise and keep their invariants on hard cases?
 
     python experiments/008_hard_cases/run.py -o OUT [--quick] [--jobs N] [--resume]
 
-Every filter of `jaxblur.FILTERS` on every case of cases.py, in float32 with float64 as the
-reference: hard_cases.csv and .md; the worst of all filters: summary.csv and .md. What the
-transformations of jax change, and a frame of 4096x2160: transformations.csv and .md. What the door
-refuses is checked and printed. Seeds are fixed. ``--quick`` leaves out sizes, masks and most
-transformations. Rows are written as they are measured; ``--resume`` takes those of OUT as they are.
+Writes hard_cases.csv and .md (every filter of `jaxblur.FILTERS` on every case of cases.py, in
+float32 with float64 as the reference), summary.csv and .md (the worst of all filters), and
+transformations.csv and .md (effects of the transformations of jax, and a frame of 4096x2160).
+Checks that `jaxblur.finite_frame` rejects invalid frames, and prints the result. Seeds are fixed.
+``--quick`` leaves out sizes, masks and most transformations. Rows are written as they are measured;
+``--resume`` keeps the rows that OUT has and measures the others.
 """
 
 import contextlib
@@ -56,14 +57,14 @@ COLUMNS = (
 )
 HEADERS = {"hard_cases": COLUMNS, "transformations": transformations.COLUMNS}
 KEYS = {"hard_cases": COLUMNS[:3], "transformations": transformations.COLUMNS[:2]}
-"""Cells that name a row."""
+"""Columns that identify a row."""
 
 SUMMARY_COLUMNS = ("case", "filters", *COLUMNS[3:])
 TOO_FEW, ODD = "samples` must be at least", "must be odd"
 
 
 def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
-    """The figures of one filter on one case."""
+    """Measure one filter on one case: its row."""
     frame, _ = jaxblur.finite_frame(case.frame, case.nonfinite)
     settings = jaxblur.GuertinSettings(samples=case.samples, radius=case.radius, **MODES[fetch])
     setup = measuring.Setup(name, settings)
@@ -89,7 +90,7 @@ def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
 
 
 def summary(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
-    """One row for each case: the worst of all filters that took it."""
+    """One row for each case: the worst of all filters that accept it."""
     by_case: dict[str, list[Sequence[str]]] = {}
     for cells in rows:
         if cells[3] in ("yes", "NO"):
@@ -110,7 +111,7 @@ def _number(cell: str) -> float:
 
 
 def check_door() -> list[str]:
-    """Frames that got past the door though they must not."""
+    """Names of invalid frames that `jaxblur.finite_frame` fails to reject."""
     passed = []
     for name, frame in cases.refused_frames():
         with contextlib.suppress(ValueError):
@@ -120,7 +121,7 @@ def check_door() -> list[str]:
 
 
 class Task(NamedTuple):
-    """What one process measures in one go; its cases share their programs.
+    """A unit of work for one process; its cases share their compiled programs.
 
     Attributes:
         table: ``hard_cases`` or ``transformations``.
@@ -134,7 +135,7 @@ class Task(NamedTuple):
 
 
 def tasks(quick: bool) -> Iterator[Task]:
-    """All there is to measure, or a part of it if it must be quick."""
+    """All tasks, or a part of them if `quick`."""
     for name, fetch in itertools.product(FILTERS, list(MODES)[: 1 if quick else None]):
         for batch in batches(fetch, quick):
             labels = tuple((name, fetch, case.label) for case in batch)
@@ -146,7 +147,7 @@ def tasks(quick: bool) -> Iterator[Task]:
 
 
 def batches(fetch: str, quick: bool) -> Iterator[list[Any]]:
-    """Cases that share their programs: the same size, samples and radius, masked or not."""
+    """Cases that share compiled programs: same size, samples and radius, all masked or none."""
     by_program: dict[Any, list[Any]] = {}
     for case in cases.all_cases():
         frame, _ = jaxblur.finite_frame(case.frame, case.nonfinite)
@@ -155,25 +156,25 @@ def batches(fetch: str, quick: bool) -> Iterator[list[Any]]:
     usual, *others = by_program.values()
     yield usual[:: 3 if quick else 1]
     for batch in others:
-        # Each size compiles anew.
+        # Each of these batches compiles its own programs.
         if not quick and (batch[0].group != "shape" or fetch == "bilinear"):
             yield batch
 
 
 def case_rows(name: str, fetch: str, batch: Sequence[Any]) -> list[tuple[Any, ...]]:
-    """The figures of one filter on some cases."""
+    """Measure one filter on some cases: their rows."""
     return [row(name, fetch, case) for case in batch]
 
 
 def run(task: Task) -> list[tuple[Any, ...]]:
-    """Measure, and keep no programs: memory stays that of one task."""
+    """Measure one task, then drop its compiled programs to bound memory."""
     measured = task.measure()
     jax.clear_caches()
     return measured
 
 
 def measure_all(output: Path, planned: Sequence[Task], jobs: int) -> None:
-    """Measure what the tables of the folder lack, and append it as it comes."""
+    """Measure the rows that the tables in the folder lack, and append each when it is done."""
     present = {table: {row[: len(KEYS[table])] for row in read(output, table)} for table in KEYS}
     missing = [task for task in planned if not present[task.table].issuperset(task.labels)]
     context = multiprocessing.get_context("spawn")
@@ -189,19 +190,19 @@ def measure_all(output: Path, planned: Sequence[Task], jobs: int) -> None:
 
 
 def path(output: Path, table: str) -> Path:
-    """Where a table is kept."""
+    """Path of the CSV file of a table."""
     return output / f"{table}.csv"
 
 
 def read(output: Path, table: str) -> list[tuple[str, ...]]:
-    """The rows measured so far, whole ones."""
+    """The complete rows that have been measured so far."""
     with path(output, table).open(newline="", encoding="utf-8") as file:
         rows = [tuple(row) for row in csv.reader(file)][1:]
     return [row for row in rows if len(row) == len(HEADERS[table])]
 
 
 def write(output: Path, planned: Sequence[Task]) -> None:
-    """The tables in the order of the plan, and the summary."""
+    """Write the tables, in the order of the plan, and the summary."""
     for table, keys in KEYS.items():
         found = {row[: len(keys)]: row for row in read(output, table)}
         labels = itertools.chain(*(task.labels for task in planned if task.table == table))
@@ -212,7 +213,7 @@ def write(output: Path, planned: Sequence[Task]) -> None:
 
 
 def main() -> None:
-    """Measure, write the tables, say what failed."""
+    """Measure, write the tables, and print which invalid frames were not rejected."""
     parser = output_parser("Hard cases of every filter.")
     parser.add_argument("--quick", action="store_true", help="fewer cases and transformations")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
@@ -226,7 +227,7 @@ def main() -> None:
     measure_all(options.output, planned, options.jobs)
     write(options.output, planned)
     passed = check_door()
-    print(f"door: {'all refused' if not passed else 'NOT refused: ' + ', '.join(passed)}")
+    print(f"invalid frames: {'NOT rejected: ' + ', '.join(passed) if passed else 'all rejected'}")
     seconds = f"{time.perf_counter() - start:.0f} s"
     print(f"{seconds}, numpy {np.__version__}, jax {jax.__version__}")
 

@@ -1,4 +1,4 @@
-"""What jit, vmap, grad, checkpoint, half buffers and large frames change: nothing but rounding."""
+"""Effects of jit, vmap, grad, checkpoint, half buffers and large frames: only rounding."""
 
 import dataclasses
 import functools
@@ -19,20 +19,20 @@ measuring = importlib.import_module("experiments.008_hard_cases.measure")
 
 COLUMNS = ("filter", "what", "largest difference", "bit-equal")
 LARGE, PART = (2160, 4096), (8, 16)
-"""Size of the large frame, and in tiles the part of it that is filtered alone as well."""
+"""Size of the large frame, and size in tiles of the part that is also filtered alone."""
 
 SETTINGS = jaxblur.GuertinSettings(samples=9, radius=6, fetch="bilinear", tile_choice="expected")
 
 
 def rows(name: str, what: str) -> list[tuple[str, ...]]:
-    """The row of one filter and one transformation.
+    """Check one filter under one transformation.
 
     Args:
         name: a key of `jaxblur.FILTERS`.
         what: a key of `CHECKS` or `LARGE_CHECKS`.
 
     Returns:
-        Rows for `COLUMNS`, one.
+        One row for `COLUMNS`, in a list.
     """
     check = (CHECKS | LARGE_CHECKS)[what]
     pair = check(measuring.Setup(name, SETTINGS), cases.plain_frame())
@@ -115,7 +115,7 @@ def _checkpoint(setup: Any, frame: Any) -> tuple[Any, Any]:
 
 
 def _debug_nans(setup: Any, frame: Any) -> tuple[Any, Any]:
-    """Raises where NaN arises anywhere inside, even if it does not reach the result."""
+    """Value and gradient with debug_nans, which raises on any NaN inside, and without."""
     still = dataclasses.replace(frame, velocity=np.zeros_like(frame.velocity))
     inputs = measuring.as_inputs(setup, still, "float32")
     arguments = inputs["color"], inputs["velocity"], inputs
@@ -146,7 +146,7 @@ CHECKS: dict[str, Callable[[Any, Any], tuple[Any, Any]]] = {
 
 
 def _large(setup: Any, _: Any) -> tuple[Any, Any]:
-    """The corner of a large frame, cut from the result and filtered alone."""
+    """The corner of a large frame: cropped from the result, and filtered alone."""
     settings = jaxblur.GuertinSettings(samples=9, radius=40, noise="none", tile_choice="own")
     setup = measuring.Setup(setup.name, settings)
     inputs = measuring.as_inputs(setup, _large_frame(), "float32")
@@ -155,14 +155,14 @@ def _large(setup: Any, _: Any) -> tuple[Any, Any]:
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(f"{setup.name} at {LARGE[1]}x{LARGE[0]}: {seconds:.1f} s, {peak:.1f} GB", flush=True)
-    # From the far corner: indices and positions are the largest there.
+    # The far corner has the largest indices and positions.
     top, left = (size - count * 40 - size % 40 for size, count in zip(LARGE, PART, strict=True))
     part = {
         key: value[top:, left:] if key in ("color", "depth", "velocity") else value
         for key, value in inputs.items()
     }
     alone = np.asarray(measuring.call(setup, part))
-    # Three tiles of halo, more than what any of the filters sees of a neighborhood.
+    # A halo of three tiles is wider than the neighborhood that any filter reads.
     return whole[top + 120 :, left + 120 :], alone[120:, 120:]
 
 

@@ -1,4 +1,4 @@
-"""Kill a run over a sequence at random moments, go on, and compare with an undisturbed one.
+"""Kill a run over a sequence at random moments, resume it, and compare with an undisturbed run.
 
 python -m experiments.009_throughput.kills --kills 20
 """
@@ -18,15 +18,15 @@ from jaxblur import exr
 
 
 def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
-    """Write frames of noise whose vectors are as fast as the filter allows.
+    """Write frames of random color, depth and fast vectors.
 
     Args:
-        folder: where to.
+        folder: output folder.
         count: number of frames, from 1.
         size: (height, width) in pixels.
 
     Returns:
-        Pattern of their names.
+        Pattern of the file names.
     """
     for frame in range(1, count + 1):
         generator = np.random.default_rng(frame)
@@ -39,15 +39,15 @@ def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
 
 
 def run_with_kills(command: list[str], folder: Path, kills: int, seed: int) -> list[int]:
-    """Start a command again and again, kill it at random moments, and let it end at last.
+    """Start a command repeatedly and kill it at random moments; let the last run finish.
 
-    One time in four it is killed while it starts, else shortly after it has written a frame.
+    A quarter of the kills are during the start, the others shortly after a frame was written.
 
     Args:
-        command: what to run.
-        folder: where it writes.
-        kills: how often it is killed.
-        seed: of the moments.
+        command: the command and its arguments.
+        folder: folder to which the command writes.
+        kills: number of kills.
+        seed: seed of the random moments.
 
     Returns:
         Number of whole frames in the folder at each kill.
@@ -73,7 +73,7 @@ def run_with_kills(command: list[str], folder: Path, kills: int, seed: int) -> l
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """Name the files, hidden ones too, that two folders do not share to the byte."""
+    """Names of the files, hidden ones too, that differ or are in one of two folders only."""
     names = {path.name for folder in (first, second) for path in folder.iterdir()}
     return sorted(name for name in names if _bytes(first / name) != _bytes(second / name))
 
@@ -87,7 +87,7 @@ def _bytes(path: Path) -> bytes | None:
 
 
 def main() -> int:
-    """Kill, go on, compare; see the module docstring."""
+    """Kill, resume, compare; see the module docstring."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--frames", type=int, default=120)

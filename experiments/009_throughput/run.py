@@ -1,4 +1,4 @@
-"""Frames per second from file to file, against reading and writing alone.
+"""Frames per second from file to file, compared with reading and writing alone.
 
 python -m experiments.009_throughput.run --frames 12
 """
@@ -27,20 +27,20 @@ from jaxblur.sequence import Job, Stage, run_pipeline
 HERE = Path(__file__).parent
 SHUTTER = 0.5
 DISTINCT = 3
-"""Frames that are rendered; the others are copies under other numbers."""
+"""Number of frames that are rendered; the others are copies of these."""
 FILTER = ("--filter", "guertin2014")
 MEMORY_COUNTS = (10, 60)
 
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One figure.
+    """One measurement.
 
     Attributes:
-        what: was measured.
-        seconds: of wall time for each frame.
-        cpu: seconds of processor time for each frame.
-        note: what else there is to say.
+        what: name of the measurement.
+        seconds: wall time per frame.
+        cpu: processor seconds per frame.
+        note: additional figures.
     """
 
     what: str
@@ -50,15 +50,15 @@ class Row:
 
 
 def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
-    """Write frames of a catalogue scene with vectors of both sides and depth.
+    """Write frames of a catalogue scene with depth and vectors to both neighboring frames.
 
     Args:
-        folder: where to.
+        folder: output folder.
         count: number of frames.
         size: (height, width) in pixels.
 
     Returns:
-        Pattern of their names.
+        Pattern of the file names.
     """
     scene = scenes.SCENES["gears"]()
     for frame in range(1, count + 1):
@@ -72,7 +72,7 @@ def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
 
 
 def measure_stages(folder: Path, count: int) -> Iterator[Row]:
-    """Reading, writing and both at once, without a filter, as the sequence does them."""
+    """Measure reading, writing, and both at once, without a filter, in the sequence pipeline."""
     (folder / "alone").mkdir()
     jobs = [
         Job(n, {"input": folder / f"in.{n:04d}.exr"}, (folder / f"alone/a.{n:04d}.exr",), *_ANY)
@@ -106,7 +106,7 @@ def _timed(what: str, jobs: Sequence[Job], stages: Sequence[Stage]) -> Row:
 
 
 def measure_filter(folder: Path) -> Row:
-    """The filter alone, in memory, as published."""
+    """Measure the filter alone, in memory, as published."""
     frame = jaxblur.read_frame(folder / "in.0001.exr", shutter=SHUTTER)
     parameters = jaxblur.GuertinParameters()
     jaxblur.guertin2014(frame, parameters).block_until_ready()
@@ -121,17 +121,18 @@ def measure_filter(folder: Path) -> Row:
 def measure_command(
     what: str, pattern: Path, count: int, cache: Path, options: Sequence[str] = ()
 ) -> Row:
-    """``jaxblur blur`` from start to end, in a process of its own.
+    """Measure ``jaxblur blur`` from start to end, in its own process.
 
     Args:
-        what: for the report.
-        pattern: of the inputs.
-        count: frames to blur.
+        what: name of the measurement.
+        pattern: pattern of the input files.
+        count: number of frames to blur.
         cache: folder of compiled code.
         options: more arguments.
 
     Returns:
-        The figure, start included; the note tells the part that is start and compilation.
+        The times, including the start. The note has the time of the first blur, which includes
+        compilation, and the median.
     """
     with tempfile.TemporaryDirectory(dir=pattern.parent) as output:
         command = [sys.executable, "-m", "jaxblur", "blur", str(pattern), "--json", "-q", *FILTER]
@@ -153,11 +154,11 @@ def measure_command(
 
 
 def measure_memory(folder: Path, size: tuple[int, int], cache: Path) -> list[Row]:
-    """The largest resident memory of runs of several lengths, each in a process of its own."""
+    """Measure the largest resident memory of runs of several lengths, each in its own process."""
     folder.mkdir()
     rows, pattern = [], make_frames(folder, max(MEMORY_COUNTS), size)
     for count in MEMORY_COUNTS:
-        # The high water mark of `resource` would be that of the parent, which was larger.
+        # `resource` would report the high-water mark of the parent, which is larger.
         code = (
             "import re, sys; from jaxblur.cli import main; main(sys.argv[1:]);"
             "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
@@ -178,14 +179,14 @@ def measure_memory(folder: Path, size: tuple[int, int], cache: Path) -> list[Row
 
 
 def measure_batches(size: tuple[int, int], chunks: Sequence[int]) -> Iterator[tuple[str, float]]:
-    """Bytes a pixel and frame that `blur_batch` works with, by XLA's own account.
+    """Temporary memory of `blur_batch`, by XLA's account, in bytes per pixel of one frame.
 
     Args:
         size: (height, width) in pixels.
         chunks: chunk sizes.
 
     Yields:
-        What, and the figure.
+        A label and the number of bytes.
     """
     import jax
     import jax.numpy as jnp
@@ -209,7 +210,7 @@ def measure_batches(size: tuple[int, int], chunks: Sequence[int]) -> Iterator[tu
 
 
 def write_report(path: Path, rows: Sequence[Row]) -> None:
-    """Write the figures as CSV."""
+    """Write the measurements as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["what", "seconds a frame", "frames a second", "CPU s a frame", "note"])
@@ -219,7 +220,7 @@ def write_report(path: Path, rows: Sequence[Row]) -> None:
 
 
 def main() -> None:
-    """Measure and report; see the module docstring."""
+    """Measure everything and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--size", type=int, nargs=2, default=(1080, 1920), metavar=("H", "W"))
@@ -250,10 +251,10 @@ def main() -> None:
         for step in steps:
             for row in step():
                 rows.append(row)
-                print(f"{row.what}: {row.seconds:.3f} s a frame, CPU {row.cpu:.3f} s {row.note}")
+                print(f"{row.what}: {row.seconds:.3f} s per frame, CPU {row.cpu:.3f} s {row.note}")
     write_report(arguments.output, rows)
     for what, bytes_a_pixel in measure_batches((180, 320), (1, 2, 4)):
-        print(f"blur_batch of 4 frames, {what}: {bytes_a_pixel:.0f} bytes a pixel of one frame")
+        print(f"blur_batch of 4 frames, {what}: {bytes_a_pixel:.0f} bytes per pixel of one frame")
 
 
 if __name__ == "__main__":

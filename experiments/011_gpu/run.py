@@ -1,12 +1,13 @@
-"""guertin2014 on a GPU: the same result as on the CPU? How far from the floor?
+"""guertin2014 on a GPU: is the result the same as on the CPU, and how far is its time from a floor?
 
     python experiments/011_gpu/run.py -o OUT                          # on a machine with a GPU
     python experiments/011_gpu/run.py -o OUT --allow-cpu --quick      # shows that the script works
 
-Needs jax, numpy and the core of jaxblur; no image library. First correctness: value and gradient on
-the device against the CPU in float64. Then the time of forward and gradient, for one frame and for
-batches of eight, next to the floor: compulsory bytes over the measured bandwidth of a copy, and
-operations over the measured rate of multiply-adds. Writes results.csv and results.md.
+Needs jax, numpy and the core of jaxblur; no image library. First compares value and gradient on the
+device with the CPU in float64. Then times forward pass and gradient, for one frame and for batches
+of eight, beside the floor, a lower bound of the time: the larger of compulsory bytes over the
+measured bandwidth of a copy, and operations over the measured rate of multiply-adds. Writes
+results.csv and results.md.
 """
 
 import argparse
@@ -25,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-# As a script, from the root folder, so that nothing has to be installed.
+# Lets the script run from the root folder without installing the package.
 sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
 import jaxblur
@@ -38,14 +39,14 @@ BYTES_PER_PIXEL = 40
 OPERATIONS_PER_TAP = 110
 """Counted by hand in the source of the filter; a multiply-add counts as two."""
 TOLERANCE, SHARE = 1e-3, 1e-3
-"""Colors in 0..1 may differ by this much in this share of the pixels: a tap within rounding of the
-border between two texels may read either."""
+"""Colors in 0..1 may differ by more than the tolerance in this share of the pixels: a tap within
+rounding error of the border between two texels may read either texel."""
 GOALS = {(720, 35): 0.5, (1080, 35): 1.1}
 """Milliseconds for one frame, forward, by height and samples."""
 
 
 class Extent(NamedTuple):
-    """What is run: sizes, samples, batches, repeats, frames queued for one timing."""
+    """Extent of a run: sizes, samples, batches, repeats, runs queued for one timing."""
 
     sizes: Sequence[tuple[int, int]]
     samples: Sequence[int]
@@ -65,17 +66,17 @@ class Floor(NamedTuple):
     rate: float
 
     def milliseconds(self, pixels: int, samples: int) -> float:
-        """The least time for one frame: the larger of memory and arithmetic."""
+        """Lower bound of the time of one frame: the larger of memory and arithmetic."""
         memory = pixels * BYTES_PER_PIXEL / self.bandwidth
         arithmetic = pixels * samples * OPERATIONS_PER_TAP / self.rate
         return 1e3 * max(memory, arithmetic)
 
 
 def find_device(allow_cpu: bool) -> Any:
-    """The accelerator.
+    """The accelerator, or the CPU if there is none and it is allowed.
 
     Raises:
-        SystemExit: there is none, and the CPU is not allowed.
+        SystemExit: there is no accelerator, and the CPU is not allowed.
     """
     device = jax.devices()[0]
     if device.platform == "cpu" and not allow_cpu:
@@ -88,7 +89,7 @@ def find_device(allow_cpu: bool) -> Any:
 def loss(
     settings: jaxblur.Settings, values: Any, frame: jaxblur.Frame, noise: jaxblur.Noise
 ) -> jax.Array:
-    """Mean square of the blurred frame, for parameters by name."""
+    """Mean square of the blurred frame; parameters are given by name."""
     parameters = jaxblur.GuertinParameters(**values)
     return jnp.mean(jaxblur.guertin2014(frame, parameters, settings=settings, noise=noise) ** 2)
 
@@ -102,7 +103,7 @@ def free_values() -> dict[str, Any]:
 def blur(
     settings: jaxblur.Settings, values: Any, frame: jaxblur.Frame, noise: jaxblur.Noise
 ) -> jax.Array:
-    """The blurred frame, for parameters by name."""
+    """The blurred frame; parameters are given by name."""
     parameters = jaxblur.GuertinParameters(**values)
     return jaxblur.guertin2014(frame, parameters, settings=settings, noise=noise)
 
@@ -122,14 +123,14 @@ def outcome(device: Any, dtype: str, settings: jaxblur.Settings, size: tuple[int
 
 
 def check(device: Any, size: tuple[int, int]) -> list[tuple[str, ...]]:
-    """Hold the device against the CPU in float64.
+    """Compare the device with the CPU in float64.
 
     Returns:
         One row for each fetch and precision: worst difference, share of pixels beyond the
         tolerance, worst relative difference of a derivative.
 
     Raises:
-        SystemExit: the device computes something else.
+        SystemExit: the results differ too much.
     """
     rows, cpu = [], jax.devices("cpu")[0]
     for fetch in ("nearest", "bilinear"):
@@ -159,7 +160,7 @@ def measure_floor(device: Any, quick: bool) -> Floor:
 
     @jax.jit
     def arithmetic(x: jax.Array) -> jax.Array:
-        # Several chains, because a single one would wait for each of its own results.
+        # Several chains, because each step of a single chain would wait for the step before.
         values = [x + chain for chain in range(chains)]
         for _ in range(steps):
             values = [value * 0.999 + 0.001 for value in values]
@@ -174,7 +175,7 @@ def measure_floor(device: Any, quick: bool) -> Floor:
 
 
 def _waiting(run: Callable[[], Any], queued: int) -> Callable[[], Any]:
-    """Several runs in the queue of the device, then wait: the launch overlaps with the work."""
+    """Queue several runs on the device, then wait: launches overlap with the work."""
 
     def wait() -> Any:
         for _ in range(queued - 1):
@@ -265,7 +266,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def describe(device: Any, floor: Floor) -> str:
-    """Date, chip, versions, limits."""
+    """Describe the run: date, device, versions, measured limits."""
     return (
         f"{datetime.date.today().isoformat()}, {device.device_kind} ({device.platform}), "
         f"jax {jax.__version__}, jaxblur {jaxblur.__version__}. Measured: "
@@ -274,7 +275,7 @@ def describe(device: Any, floor: Floor) -> str:
 
 
 def main() -> None:
-    """Check, measure, write."""
+    """Check, measure, and write the tables."""
     parser = argparse.ArgumentParser(description="guertin2014 on a GPU.")
     parser.add_argument("-o", "--output", type=pathlib.Path, required=True, metavar="OUT")
     parser.add_argument("--allow-cpu", action="store_true", help="run where there is no GPU")

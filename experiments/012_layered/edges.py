@@ -1,11 +1,11 @@
-"""Thin features and transparent edges, as a picture: poles and a flag, opaque and cut out.
+"""A picture of thin features and transparent edges: poles and a flag, opaque and cut out.
 
     python -m experiments.012_layered.edges -o OUT [--reference-data DIR]
 
-Columns: the sharp frame, `layered`, `guertin2014`, the truth, and 4 times the error of each of the
-two. Rows: a part of the catalogue's flagpole; the alpha channel of the same without wall and floor;
-and a part of the rendered flagpole, if DIR holds it. ``edges.png``, and ``edges.md`` with the
-PSNR in dB of the parts. Nothing is random.
+Columns: the sharp frame, `layered`, `guertin2014`, the truth, and 4 times the error of both
+filters. Rows: a part of the catalogue's flagpole; the alpha channel of the same scene without wall
+and floor; and a part of the rendered flagpole, if DIR holds it. Writes ``edges.png``, and
+``edges.csv`` and ``edges.md`` with the PSNR of the parts in dB. Nothing is random.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from jaxblur.filters import FILTERS, filter_info
 
 SIZE, SHUTTER, TRUTH_SAMPLES = (360, 640), 1.0, 256
 PART = np.s_[100:190, 335:475]
-"""Rows and columns shown: poles, a wire, and the flag."""
+"""Rows and columns of the part that is shown: poles, a wire, and the flag."""
 REFERENCE_PART = np.s_[70:160, 220:360]
 ENLARGE = 2
 RIVALS = ("layered", "guertin2014")
@@ -55,20 +55,20 @@ def cut_out() -> common.Example:
 
 
 def matted(over_black: np.ndarray, over_white: np.ndarray) -> np.ndarray:
-    """Premultiplied RGBA from what is seen over black and over white."""
+    """Premultiplied RGBA from images over black and over white."""
     alpha = np.clip(1 - (over_white - over_black).mean(axis=-1, keepdims=True), 0, 1)
     return np.concatenate([over_black, alpha], axis=-1)
 
 
 def enlarged(image: Any) -> np.ndarray:
-    """Three channels, pixels repeated; alpha alone where there is one."""
+    """The image as three channels, only alpha if there is one, with pixels repeated."""
     image = np.asarray(image)
     shown = np.repeat(image[..., 3:], 3, axis=-1) if image.shape[-1] > 3 else image
     return shown.repeat(ENLARGE, axis=0).repeat(ENLARGE, axis=1)
 
 
 def sheet_row(example: common.Example, part: Any) -> tuple[list[np.ndarray], list[Any]]:
-    """Pictures of a part of a scene, and the PSNR of both filters there."""
+    """Pictures of a part of a scene, and PSNR of the sharp frame and both filters there."""
     images = []
     for name in RIVALS:
         info = filter_info(name)
@@ -90,7 +90,7 @@ def opaque_part(example: common.Example) -> common.Example:
 
 
 def main() -> None:
-    """Render, blur, draw."""
+    """Render, blur, and write the picture and the table."""
     options = common.output_parser(
         "Draw thin features and transparent edges.", "show its flagpole too"
     ).parse_args()

@@ -1,14 +1,15 @@
-"""Where the defaults of `layered` come from: joint fits to catalogue scenes, cross-validated.
+"""Source of the defaults of `layered`: joint fits to catalogue scenes, cross-validated.
 
     python -m experiments.012_layered.fit_defaults -o OUT [--reference-data DIR] [--steps N]
 
-Ten scenes, every other one with curved paths. The parameters that they tell are fitted to all of
-them, from two starts: rounded, these are the defaults. Then all parameters that could be fitted, to
-each half of the scenes from both starts; the fit that gains most is judged on the other half. With
-DIR (scenes as ``experiments/blender/render_reference.py`` writes them), the fits are judged there
-too, rounded to two digits, as they would be shipped. Writes ``fits.csv`` and ``fits.md`` (what was
-fitted), ``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst
-change against the defaults). Seeds are fixed.
+There are ten scenes, every other one with curved paths. The parameters that these scenes determine
+are fitted to all of them, from two starts; rounded, the fit gives the defaults. Then more
+parameters are fitted to each half of the scenes, from both starts, and the fit that gains most is
+judged on the other half. The fits are also judged on the rendered scenes in DIR (as
+``experiments/blender/render_reference.py`` writes them). For judging, fits are rounded to two
+digits, as defaults would be. Writes ``fits.csv`` and ``fits.md`` (fitted values),
+``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst change
+against the defaults). Seeds are fixed.
 """
 
 import dataclasses
@@ -41,7 +42,7 @@ STARTS = {
 def fit(
     examples: Sequence[common.Example], free: Sequence[str], start: dict[str, float], steps: int
 ) -> Any:
-    """Fit free parameters to some examples, by the error that is shown."""
+    """Fit free parameters to some examples, by the error of display values."""
     return jaxblur.fit(
         "layered",
         [(example.frame, example.truth) for example in examples],
@@ -55,7 +56,7 @@ def fit(
 
 
 def rounded(values: dict[str, float]) -> jaxblur.LayeredParameters:
-    """The defaults with the fitted values, to two digits."""
+    """The defaults, with fitted values rounded to two digits."""
     return dataclasses.replace(
         DEFAULTS, **{k: float(f"{value:.2g}") for k, value in values.items()}
     )
@@ -70,7 +71,7 @@ def psnr(example: common.Example, parameters: jaxblur.LayeredParameters) -> floa
 def changes(
     examples: Sequence[common.Example], parameters: jaxblur.LayeredParameters
 ) -> tuple[float, float, float]:
-    """Mean PSNR with the defaults, and the mean and the least change against it, in dB."""
+    """Mean PSNR with the defaults, and the mean and the worst change against it, in dB."""
     before = np.array([psnr(example, DEFAULTS) for example in examples])
     after = np.array([psnr(example, parameters) for example in examples])
     return float(before.mean()), float((after - before).mean()), float((after - before).min())
@@ -79,7 +80,7 @@ def changes(
 def best_fit(
     label: str, examples: Sequence[common.Example], free: Sequence[str], steps: int
 ) -> tuple[dict[str, float], list[list[Any]]]:
-    """The fit that gains most of those from all starts, and one row of the table for each."""
+    """Fit from all starts: the fit that gains most, and one row of the table for each start."""
     fits, rows = [], []
     for name, start in STARTS.items():
         fitted = fit(examples, free, start, steps).parameters
@@ -93,14 +94,14 @@ def best_fit(
 
 
 def load(name: str, index: int) -> common.Example:
-    """A scene of the catalogue, with curved paths if its number is even."""
+    """A scene of the catalogue, with curved paths if the index is even."""
     return common.catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES, path=index % 2 == 0)
 
 
 def main() -> None:
-    """Fit, judge, write the tables."""
+    """Fit, judge, and write the tables."""
     parser = common.output_parser("Fit the defaults of layered.", "judge on these too")
-    parser.add_argument("--steps", type=int, default=30, help="of each fit (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=30, help="steps per fit (%(default)s)")
     options = parser.parse_args()
     first, second = ([load(name, i) for i, name in enumerate(half)] for half in HALVES)
     folder = options.reference_data

@@ -1,20 +1,21 @@
-"""What holds the rest of the error of `layered`: parts of it, each replaced by the truth.
+"""Causes of the remaining error of `layered`: parts of the filter are replaced by the truth.
 
     python -m experiments.012_layered.remainder -o OUT [--reference-data DIR] [--quick]
 
-On catalogue scenes the truth can be asked: curved paths; where in the frame the point is that is
-seen at a time; its color then, if the frame does not show it. ``remainder.md`` has PSNR in dB of
-display values as the filter runs, then with each of these alone: 350 samples instead of 35; curved
-paths; where no guess lands, points that are in the frame ("missed"), and points that are not
-("hidden"); then with one after the other; last with every point, whether a guess lands or not.
-``shares.md`` has what each takes of the squared error in that order; what is left over is the
-color of points, which light and neighbors in the pixel change.
+On catalogue scenes the truth is known: curved paths; where in the frame the point lies that is
+visible at a given time; and its color at that time, if the frame does not show it. ``remainder.md``
+has PSNR in dB of display values, first as the filter runs, then with each of these alone: 350
+samples instead of 35; curved paths; where no guess lands, true points that are in the frame
+("missed"), and true points that are not ("hidden"). Then these are added one after the other, and
+last every point is true, whether a guess lands or not. ``shares.md`` has the share of the squared
+error that each removes in that order. The rest is the color of points, which depends on light and
+on neighbors in the same pixel.
 
 On rendered scenes (DIR, as ``experiments/blender/render_reference.py`` writes them) ``regions.md``
-says where the squared error lies, regions in this order, each without those before:
+splits the squared error by region of the picture. Each region excludes those before it:
 
-- unreached: no vector reaches the pixel, so that what changes there is light and shadow,
-- not in the frame: for a tenth of the exposure or more no guess has landed,
+- unreached: no vector reaches the pixel, so that only light and shadow change there,
+- not in the frame: for a tenth of the exposure or more, no guess lands,
 - silhouettes: within 1.5 pixels of a jump of depth,
 - elsewhere.
 
@@ -35,13 +36,13 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxblur.sampling import read_nearest, read_position
 from scipy import ndimage
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics, scenes
 from jaxblur.filters import filter_info
-from jaxblur.sampling import read_nearest, read_position
 
 SCENES = (
     *("cube_between_crates", "cubes_on_teapot", "flagpole"),
@@ -59,7 +60,7 @@ Slice = Callable[..., tuple[Any, ...]]
 
 
 class Known(NamedTuple):
-    """What the truth says of one exposure, at `TIMES` times spread evenly over it.
+    """The truth of one exposure, at `TIMES` times spread evenly over it.
 
     Attributes:
         times: (T,) frames.
@@ -79,11 +80,12 @@ def known(scene: scenes.Scene) -> Known:
 
 @contextmanager
 def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
-    """Let something else complete the slices where no guess has landed.
+    """Replace the color of slices where no guess lands.
 
     Args:
-        complete: maps (count, index, color planes of what has landed, share for which nothing
-            has, color planes and weight as the filter has them) to the terms of a slice.
+        complete: maps (number of slices, index of the slice, color planes of guesses that landed,
+            share without such a guess, color planes and weight of the filter) to the terms of a
+            slice.
     """
     whole_slice, visible = layered_module._slice, layered_module._visible
     noted: list[jax.Array] = []
@@ -108,7 +110,17 @@ def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
 
 
 def told(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
-    """The filter; where nothing lands, what is told of that time, if it is not NaN."""
+    """Run the filter; where no guess lands, take the color from a stack of sharp images.
+
+    Args:
+        stack: (T, H, W, 3) linear light at times spread evenly over the exposure; NaN leaves the
+            filter's own color.
+        frame: frame to blur.
+        samples: samples of the filter.
+
+    Returns:
+        (H, W, 3) linear light.
+    """
     table = jnp.asarray(stack.reshape(-1))
     height, width = stack.shape[1:3]
     still = jnp.zeros((height, width, 1))
@@ -128,7 +140,7 @@ def told(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
 
 
 def missing(frame: jaxblur.Frame) -> np.ndarray:
-    """Share of the exposure for which no guess has landed: (H, W)."""
+    """Share of the exposure for which no guess lands, (H, W)."""
 
     def complete(count, index, colors, empty, usual):
         return (*(empty for _ in colors), jnp.ones_like(empty))
@@ -139,17 +151,17 @@ def missing(frame: jaxblur.Frame) -> np.ndarray:
 
 
 def run(frame: jaxblur.Frame, samples: int) -> jax.Array:
-    """The filter, traced anew: parts of it may have been replaced."""
+    """Run the filter, traced anew because parts of it may have been replaced."""
     settings = dataclasses.replace(XLA, samples=samples)
     function = functools.partial(layered_module.layered.__wrapped__, settings=settings)
     return jax.jit(lambda frame: function(frame, PARAMETERS))(frame)
 
 
 def points_in_frame(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.ndarray:
-    """What is seen at each time, as the sharp frame shows it, NaN where that does not show it.
+    """Colors, by the sharp frame, of the points visible at each time: (T, H, W, 3).
 
-    A point is in the frame if the same object is there, and the point there gets back to within a
-    pixel.
+    The color is NaN if the frame does not show the point. The frame shows it if the same object is
+    at the point's position in the frame, and the motion from there leads back to within a pixel.
     """
     objects = np.asarray(scenes.object_ids(scene, 0.0, SIZE))
     color = np.moveaxis(np.asarray(frame.color), -1, 0)
@@ -170,17 +182,17 @@ def points_in_frame(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> 
 
 
 def mse(image: Any, truth: Any) -> float:
-    """Of display values."""
+    """Mean squared error of display values."""
     return float(metrics.mse(metrics.display(image), metrics.display(truth)))
 
 
 def decibel(error: float) -> float:
-    """PSNR."""
+    """PSNR in dB of a mean squared error of display values."""
     return -10 * float(np.log10(error))
 
 
 def catalogue_errors(name: str) -> dict[str, float]:
-    """Squared error of one scene with parts of it true."""
+    """Squared errors on one scene, by which parts of the filter are replaced by the truth."""
     scene = scenes.SCENES[name]()
     curved = scenes.render(scene, 0.0, SHUTTER, SIZE, path=True)
     straight = dataclasses.replace(curved, path=None)
@@ -205,14 +217,14 @@ def catalogue_errors(name: str) -> dict[str, float]:
 
 
 def ladder(errors: dict[str, float]) -> list[float]:
-    """What each part takes of the squared error as it runs, each added to those before."""
+    """Share of the squared error that each part removes, when added to those before it."""
     steps = ("as it runs", "samples", "samples and paths", "and missed", "and hidden")
     left = [errors[step] / errors[steps[0]] for step in (*steps, "and every point")]
     return [before - after for before, after in itertools.pairwise(left)] + left[-1:]
 
 
 def regions(frame: jaxblur.Frame) -> dict[str, np.ndarray]:
-    """Where a pixel lies, see the module."""
+    """Masks (H, W) of the regions in the module docstring, by name."""
     log_depth = np.log(np.minimum(np.asarray(frame.depth), 1e9))
     around = ndimage.maximum_filter(log_depth, 3) - ndimage.minimum_filter(log_depth, 3)
     parts = {
@@ -258,10 +270,12 @@ def write_catalogue(output: Path, names: Sequence[str]) -> None:
 
 
 def main() -> None:
-    """Measure, write tables."""
-    parser = argparse.ArgumentParser(description="What holds the rest of the error of layered.")
+    """Measure and write the tables."""
+    parser = argparse.ArgumentParser(description="Causes of the remaining error of layered.")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
-    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="regions of these too")
+    parser.add_argument(
+        "--reference-data", type=Path, metavar="DIR", help="split errors on these too"
+    )
     parser.add_argument("--quick", action="store_true", help="the first catalogue scene only")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)

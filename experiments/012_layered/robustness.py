@@ -1,13 +1,13 @@
-"""Does `layered` flicker, and do its tiles show?
+"""Does `layered` flicker, and are its tiles visible?
 
     python -m experiments.012_layered.robustness -o OUT
 
-Flicker, on sequences of eight frames: the RMS over pixels of how the error of a filter changes from
-frame to frame, in display values (`jaxblur.metrics.temporal_difference_error`), with the built-in
-noise, which is the same in every frame, and with noise drawn anew for each; and how much the truth
-itself changes. Seams, on scenes that turn: squared error of pixels on the borders of the tiles
-over that of the same pixels elsewhere, as the tiles are moved; over five frames. Writes
-``flicker`` and ``seams``, ``.csv`` and ``.md``. Seeds are fixed.
+Flicker, on sequences of eight frames: RMS of the change of a filter's error from frame to frame, in
+display values (`jaxblur.metrics.temporal_difference_error`), with the built-in noise, which is the
+same in every frame, and with new noise in each frame; beside it the change of the truth itself.
+Seams, on scenes that turn, over five frames: the tiles are moved over the picture, and the squared
+error of pixels on tile borders is divided by that of the same pixels elsewhere. Writes ``flicker``
+and ``seams``, ``.csv`` and ``.md``. Seeds are fixed.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxblur.filters.reaching import fine_tile
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics
 from jaxblur.filters import FILTERS, filter_info
-from jaxblur.filters.reaching import fine_tile
 from jaxblur.fitting.objective import draw_noise
 
 SCENES = ("cube_between_crates", "gears", "rotation_stress", "flagpole", "camera_dolly", "crossing")
@@ -31,7 +31,7 @@ TURNING, SEAM_SIZE, SEAM_FRAMES = ("gears", "rotation_stress"), (184, 320), 5
 
 
 def blur(name: str, frame: jaxblur.Frame, seed: int | None) -> Any:
-    """A filter as published, with the built-in noise or with noise of a seed, as displayed."""
+    """Display values of a filter as published, with built-in noise or with noise from a seed."""
     info = filter_info(name)
     parameters, settings = info.make_parameters(), info.settings
     noise = None if seed is None else draw_noise(jax.random.key(seed), SIZE)
@@ -60,7 +60,7 @@ def rows_of(name: str) -> list[list[Any]]:
 
 
 def on_borders(shape: tuple[int, int], size: int) -> np.ndarray:
-    """Which pixels lie on the border of a square tile, (H, W)."""
+    """Mask (H, W) of the pixels on the border of a square tile."""
     lines = [np.isin(np.arange(length) % size, (0, size - 1)) for length in shape]
     return lines[0][:, None] | lines[1]
 
@@ -68,10 +68,10 @@ def on_borders(shape: tuple[int, int], size: int) -> np.ndarray:
 def seam_ratio(
     error: Callable[[tuple[slice, slice]], np.ndarray], picture: tuple[int, int], size: int
 ) -> float:
-    """Error of the same pixels where they lie on borders of tiles, over that elsewhere.
+    """Error of pixels when they lie on tile borders, divided by their error when they do not.
 
-    The picture is cut off by 0 to size - 1 pixels, which moves the tiles over it, so
-    that every pixel lies on borders in some of the cuts and not in the others.
+    The picture is cropped by 0 to size - 1 pixels, which moves the tiles over it, so that every
+    pixel lies on a border in some of the crops and not in the others.
 
     Args:
         error: maps a part of the picture to its errors, (h, w).
@@ -79,13 +79,13 @@ def seam_ratio(
         size: side of a tile in pixels.
 
     Returns:
-        1 where borders are like everything else.
+        The ratio; 1 if borders have no effect.
     """
     height, width = (length - size for length in picture)
     border = on_borders((height, width), size)
     sums = np.zeros((2, 2))
     for down, right in np.ndindex(size, size):
-        # The same pixels of every cut; what comes in from outside is not known near the edges.
+        # The same pixels of every crop, away from edges, beyond which content is missing.
         inner = (
             slice(3 * size - down, height - 2 * size - down),
             slice(3 * size - right, width - 2 * size - right),
@@ -98,7 +98,7 @@ def seam_ratio(
 
 
 def seams_of(name: str, time: float) -> float:
-    """The ratio of `layered` on one frame of a scene."""
+    """The seam ratio of `layered` on one frame of a scene."""
     example = common.catalogue_example(name, SEAM_SIZE, SHUTTER, TRUTH_SAMPLES, time)
 
     def error(part: tuple[slice, slice]) -> np.ndarray:
@@ -110,14 +110,14 @@ def seams_of(name: str, time: float) -> float:
 
 
 def seam_row(name: str) -> list[Any]:
-    """The mean ratio over some frames, and its standard error."""
+    """One row: the mean seam ratio over some frames, and its standard error."""
     ratios = [seams_of(name, time) for time in range(SEAM_FRAMES)]
     jax.clear_caches()
     return [name, float(np.mean(ratios)), float(np.std(ratios, ddof=1) / np.sqrt(SEAM_FRAMES))]
 
 
 def main() -> None:
-    """Render, blur, measure, write."""
+    """Render, blur, measure, and write the tables."""
     options = common.output_parser("Measure flicker and seams of layered.").parse_args()
     seams = [seam_row(name) for name in TURNING]
     columns = ["scene", "error on borders of tiles / elsewhere", "standard error"]

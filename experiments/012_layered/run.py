@@ -1,11 +1,12 @@
-"""What each part of `layered` is worth, against guertin2014 and Blender's Vector Blur.
+"""Gain of each part of `layered`, and comparison with guertin2014 and Blender's Vector Blur.
 
     python -m experiments.012_layered.run --reference-data DIR -o OUT [--quick]
 
 DIR holds scenes as ``experiments/blender/render_reference.py`` writes them. Each variant leaves one
-part out, or has what the filter cannot know: vectors exact at pixel centers, or ten times the
-samples. Writes ``steps.csv`` and ``steps.md`` (PSNR in dB of display values), ``peers.md`` (PSNR,
-FLIP, CPU time in turn), and ``errors.png``. ``--quick`` takes the first scene only.
+part out, or has an advantage over the filter: exact vectors at pixel centers, or ten times the
+samples. Writes ``steps.csv`` and ``steps.md`` (PSNR in dB of display values), ``peers.csv`` and
+``peers.md`` (PSNR, FLIP, CPU time in turn), and ``errors.png``. ``--quick`` takes the first scene
+only.
 """
 
 import argparse
@@ -27,7 +28,7 @@ Blur = Callable[[jaxblur.Frame], Any]
 
 
 def blur(name: str, parameters: dict[str, float] | None = None, **settings: Any) -> Blur:
-    """A filter as published, but for some parameters and settings."""
+    """A filter as published, except for the given parameters and settings."""
     info = filter_info(name)
     record = info.make_parameters(**(parameters or {}))
     chosen = info.make_settings(**settings)
@@ -35,12 +36,12 @@ def blur(name: str, parameters: dict[str, float] | None = None, **settings: Any)
 
 
 def without_path(frame: jaxblur.Frame) -> Any:
-    """Straight motion only."""
+    """`layered` with straight motion instead of curved paths."""
     return blur("layered")(dataclasses.replace(frame, path=None))
 
 
 def variants() -> dict[str, Blur]:
-    """The filter, and the filter without one of its parts."""
+    """The filter, and variants of it, by name."""
     return {
         "layered": blur("layered"),
         "no path": without_path,
@@ -56,7 +57,7 @@ def variants() -> dict[str, Blur]:
 
 
 def read(truth: Path) -> tuple[jaxblur.Frame, jaxblur.Frame, Any, Any]:
-    """The frame, the same with exact vectors, the truth, Vector Blur."""
+    """Read the frame, the frame with exact vectors, the truth, and Blender's Vector Blur."""
     shutter = common.reference_shutter(truth)
     number = truth.stem.removeprefix("truth_")
     sharp, centers, peer = (
@@ -68,12 +69,12 @@ def read(truth: Path) -> tuple[jaxblur.Frame, jaxblur.Frame, Any, Any]:
 
 
 def psnr(image: Any, truth: Any) -> float:
-    """In dB of display values."""
+    """PSNR in dB of display values."""
     return float(metrics.psnr(metrics.display(image), metrics.display(truth)))
 
 
 def cpu_seconds(blurs: dict[str, Blur], frame: jaxblur.Frame) -> dict[str, float]:
-    """Least CPU time of each, taken in turn after a first run that compiles."""
+    """Shortest CPU time of each filter, timed in turn after a first run that compiles."""
     least = dict.fromkeys(blurs, np.inf)
     for turn in range(REPEATS + 1):
         for name, function in blurs.items():
@@ -85,8 +86,8 @@ def cpu_seconds(blurs: dict[str, Blur], frame: jaxblur.Frame) -> dict[str, float
 
 
 def main() -> None:
-    """Measure, write tables and pictures."""
-    parser = argparse.ArgumentParser(description="Measure the parts of layered.")
+    """Measure, and write tables and pictures."""
+    parser = argparse.ArgumentParser(description="Measure the gain of each part of layered.")
     parser.add_argument("--reference-data", type=Path, required=True, metavar="DIR")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     parser.add_argument("--quick", action="store_true")

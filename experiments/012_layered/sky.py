@@ -1,12 +1,12 @@
-"""Would it pay to give the sky the velocity of the camera's turn, where files have none?
+"""How much does it gain to give the sky the velocity of the camera's turn, if files have none?
 
     python -m experiments.012_layered.sky -o OUT [--reference-data DIR]
 
 Blender writes zero vectors for the sky even when the camera turns; `jaxblur.turning_sky` estimates
-them from those of the surfaces. ``sky.md`` has, for catalogue scenes with sky and for rendered ones
-(DIR, as ``experiments/blender/render_reference.py`` writes them), the PSNR of `layered` in dB of
-display values with zero, estimated and exact velocities of the sky, and the mean error of the
-estimate in pixels. Nothing is random.
+them from those of the surfaces. Scenes with sky are taken from the catalogue and from DIR (as
+``experiments/blender/render_reference.py`` writes them). ``sky.csv`` and ``sky.md`` have the PSNR
+of `layered`, in dB of display values, with zero, estimated and exact velocities of the sky, and the
+mean error of the estimate in pixels. Nothing is random.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ PARAMETERS = jaxblur.LayeredParameters()
 
 
 def moved(frame: jaxblur.Frame, velocity: np.ndarray) -> jaxblur.Frame:
-    """The frame with other velocities; where they changed, paths are straight."""
+    """The frame with other velocities; paths become straight where velocities differ."""
     changed = (velocity != np.asarray(frame.velocity)).any(axis=-1)
     path = frame.path
     if path is not None:
@@ -37,7 +37,7 @@ def moved(frame: jaxblur.Frame, velocity: np.ndarray) -> jaxblur.Frame:
 
 
 def turn_of(camera: dict[str, Any], number: int, size: tuple[int, int]) -> np.ndarray:
-    """Half-spread of points at infinity, (H, W, 2), from the matrices of the camera."""
+    """Half-spread in pixels of points at infinity, (H, W, 2), by the matrices of the camera."""
     half = camera["shutter"] / 2
     turns = [
         np.array(camera["times"][f"{number + offset:.2f}"]["camera_to_world"])[:3, :3]
@@ -53,7 +53,7 @@ def turn_of(camera: dict[str, Any], number: int, size: tuple[int, int]) -> np.nd
 
 
 def rendered(folder: Path) -> list[tuple[common.Example, np.ndarray]]:
-    """Rendered scenes with sky, and the exact velocities of the sky."""
+    """Rendered scenes with sky, each with the exact velocities of the sky."""
     pairs = []
     for truth, example in zip(
         common.reference_truths(folder), common.full_size_examples(folder), strict=True
@@ -66,7 +66,7 @@ def rendered(folder: Path) -> list[tuple[common.Example, np.ndarray]]:
 
 
 def row_of(example: common.Example, exact: np.ndarray) -> list[Any]:
-    """One row of the table."""
+    """Estimate, blur and score one scene: its row of the table."""
     frame = example.frame
     sky = np.asarray(frame.depth) > 1e9
     given = np.where(sky[..., None], 0, frame.velocity).astype(np.float32)
@@ -81,7 +81,7 @@ def row_of(example: common.Example, exact: np.ndarray) -> list[Any]:
 
 
 def main() -> None:
-    """Estimate, blur, judge, write."""
+    """Estimate, blur, score, and write the table."""
     options = common.output_parser(
         "Velocities of the sky from the camera's turn.", "judge on these too"
     ).parse_args()

@@ -1,11 +1,11 @@
-"""Render a .blend into sharp frames with motion vectors, and the truth that a filter should reach.
+"""Render a .blend into sharp frames with motion vectors, and into their true motion blur.
 
     blender -b FILE.blend -P render_reference.py -- --out DIR --frames 10-12
     python render_reference.py FILE.blend --out DIR --frames 10-12     (with the bpy wheel)
 
-Cycles writes no Vector pass while its motion blur is on, so every frame is rendered more than
-once: sharp with passes, one sample at the pixel centers, and with motion blur. README.md beside
-this file describes the folder that results. The .blend on disk is never written.
+Cycles writes no Vector pass while its motion blur is on, so every frame is rendered three times:
+sharp with passes, with one sample at each pixel center, and with motion blur. README.md beside
+this file describes the output folder. The .blend on disk is never written.
 """
 
 import argparse
@@ -23,7 +23,7 @@ PIXEL_CENTER_FILTER_WIDTH = 0.01
 
 
 class Overlay:
-    """Changes settings of Blender data and puts every one of them back on leaving."""
+    """Changes settings of Blender data and restores all of them on exit."""
 
     def __init__(self):
         self._saved: dict[tuple[Any, str], Any] = {}
@@ -32,8 +32,8 @@ class Overlay:
         return self
 
     def set(self, owner: Any, **values: Any) -> None:
-        """Set attributes of one Blender struct, remembering what they were."""
-        # All are read before the first is set: a new media type also resets the file format.
+        """Set attributes of one Blender struct, and remember their old values."""
+        # Read all of them before setting the first: a new media type also resets the file format.
         for name in values:
             value = getattr(owner, name)
             remembered = value.copy() if hasattr(value, "copy") else value
@@ -47,10 +47,10 @@ class Overlay:
 
 
 def parse_frames(text: str) -> list[int]:
-    """Frame numbers of ``"10-12,20"``, in the order given, each once.
+    """Parse frame numbers such as ``"10-12,20"``: in the order given, without repeats.
 
     Raises:
-        argparse.ArgumentTypeError: the text is no such list, or a range runs backwards.
+        argparse.ArgumentTypeError: the text is not such a list, or a range runs backwards.
     """
     frames: list[int] = []
     for part in text.split(","):
@@ -65,10 +65,10 @@ def parse_frames(text: str) -> list[int]:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of ``"640x360"``.
+    """Parse a size such as ``"640x360"`` into width and height.
 
     Raises:
-        argparse.ArgumentTypeError: the text is no such size.
+        argparse.ArgumentTypeError: the text is not such a size.
     """
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
     if match is None:
@@ -77,10 +77,10 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_samples(text: str) -> int:
-    """A whole number of samples, at least 1.
+    """Parse a number of samples: a whole number of at least 1.
 
     Raises:
-        argparse.ArgumentTypeError: it is not.
+        argparse.ArgumentTypeError: the text is anything else.
     """
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
@@ -88,10 +88,10 @@ def parse_samples(text: str) -> int:
 
 
 def parse_shutter(text: str) -> float:
-    """A shutter in frames: above 0, at most 2, since vectors reach one frame either way.
+    """Parse a shutter in frames: above 0 and at most 2, as vectors span one frame each way.
 
     Raises:
-        argparse.ArgumentTypeError: it is not.
+        argparse.ArgumentTypeError: the text is anything else.
     """
     try:
         shutter = float(text)
@@ -103,15 +103,15 @@ def parse_shutter(text: str) -> float:
 
 
 def script_arguments(argv: list[str]) -> list[str]:
-    """What is meant for this script: after ``--`` in Blender, all of it under plain Python."""
+    """Arguments of this script: those after ``--`` in Blender, all of them in plain Python."""
     return argv[argv.index("--") + 1 :] if "--" in argv else argv[1:]
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    """Parse and check the command line; exits with status 2 and one line where it is wrong."""
+    """Parse and check the command line; exits with status 2 and a one-line message on error."""
     parser = argparse.ArgumentParser(prog="render_reference.py", description=DESCRIPTION)
     parser.add_argument("blend", nargs="?", type=Path, help="the scene, under the bpy wheel only")
-    parser.add_argument("--out", type=Path, required=True, help="folder to fill; made if missing")
+    parser.add_argument("--out", type=Path, required=True, help="output folder; made if missing")
     parser.add_argument("--frames", type=parse_frames, help="10-12,20; default: the current frame")
     parser.add_argument("--shutter", type=parse_shutter, default=0.5, help="in frames (0.5)")
     parser.add_argument("--shutter-curve", choices=("box", "scene"), default="box")
@@ -134,7 +134,7 @@ def outputs(folder: Path, frame: int) -> dict[str, Path]:
 
 
 def refuse_existing(options: argparse.Namespace, frames: list[int]) -> None:
-    """Stop before anything is rendered if that would replace a file unasked."""
+    """Exit before rendering if a file would be replaced without ``--overwrite``."""
     paths = [path for frame in frames for path in outputs(options.out, frame).values()]
     paths.append(options.out / "camera.json")
     existing = [path for path in paths if path.exists()]
@@ -143,7 +143,7 @@ def refuse_existing(options: argparse.Namespace, frames: list[int]) -> None:
 
 
 def open_scene(options: argparse.Namespace) -> Any:
-    """The scene to render: of the named .blend, or of the one that Blender has open."""
+    """The scene to render: from the given .blend, or from the file that Blender has open."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     if options.blend is not None:
@@ -176,7 +176,7 @@ def choose_view_layer(scene: Any, name: str | None) -> Any:
 
 
 def set_common(overlay: Overlay, scene: Any, layer: Any, options: argparse.Namespace) -> None:
-    """What all renders share: Cycles, one view layer, the whole image, multi-part EXR."""
+    """Settings of all three renders: Cycles, one view layer, the whole image, multi-part EXR."""
     render, image = scene.render, scene.render.image_settings
     overlay.set(
         render,
@@ -192,7 +192,7 @@ def set_common(overlay: Overlay, scene: Any, layer: Any, options: argparse.Names
     if options.size is not None:
         width, height = options.size
         overlay.set(render, resolution_x=width, resolution_y=height, resolution_percentage=100)
-    # Blender 5 sorts file formats under a media type, earlier versions do not know it.
+    # Blender 5 groups file formats by media type; earlier versions have no such property.
     media = {"media_type": "MULTI_LAYER_IMAGE"} if hasattr(image, "media_type") else {}
     overlay.set(
         image,
@@ -244,14 +244,14 @@ def set_motion_blur(overlay: Overlay, scene: Any, options: argparse.Namespace) -
 
 
 def render_to(scene: Any, path: Path) -> None:
-    """Render the current frame into ``path`` by way of a hidden file beside it."""
+    """Render the current frame into a hidden file, then rename it to ``path``."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     hidden = path.with_name(f".{path.name}")
     hidden.unlink(missing_ok=True)
     scene.render.filepath = str(hidden)
     bpy.ops.render.render(write_still=True, scene=scene.name)
-    # Blender reports a full disk on its console only.
+    # Blender raises nothing on a full disk; it only prints to its console.
     if not hidden.is_file():
         raise SystemExit(f"render_reference.py: Blender did not write {path}; see its messages.")
     os.replace(hidden, path)
@@ -273,7 +273,7 @@ def render_frame(scene: Any, layer: Any, frame: int, options: argparse.Namespace
 
 
 def camera_matrices(scene: Any, time: float) -> dict[str, list[list[float]]]:
-    """The camera at a fractional frame: to world, from world, and its OpenGL projection."""
+    """Camera matrices at a fractional frame: to world, from world, and OpenGL projection."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     whole = math.floor(time)
@@ -297,14 +297,14 @@ def camera_matrices(scene: Any, time: float) -> dict[str, list[list[float]]]:
 
 
 def resolution(scene: Any) -> tuple[int, int]:
-    """Width and height in pixels after the scene's percentage."""
+    """Width and height in pixels, with the scene's resolution percentage applied."""
     render = scene.render
     share = render.resolution_percentage / 100
     return int(render.resolution_x * share), int(render.resolution_y * share)
 
 
 def describe(scene: Any, frames: list[int], options: argparse.Namespace) -> dict[str, Any]:
-    """What camera.json holds: lens, shutter, camera matrices by time, object indices by name."""
+    """Content of camera.json: lens, shutter, camera matrices by time, object indices by name."""
     half = options.shutter / 2
     times = [time for frame in frames for time in (frame - half, frame, frame + half)]
     return {
@@ -322,14 +322,14 @@ def describe(scene: Any, frames: list[int], options: argparse.Namespace) -> dict
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write by way of a hidden file, so that no half-written one is ever seen."""
+    """Write a hidden file, then rename it, so that no half-written file is ever visible."""
     hidden = path.with_name(f".{path.name}")
     hidden.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     os.replace(hidden, path)
 
 
 def main() -> None:
-    """Render every frame and describe the camera; leaves the scene's settings as they were."""
+    """Render every frame and write camera.json; restores the scene's settings."""
     options = parse_arguments(script_arguments(sys.argv))
     options.out = options.out.resolve()
     scene = open_scene(options)

@@ -36,7 +36,7 @@ def start_jax(compile_cache: bool) -> None:
     with held_back():
         import jax
 
-        from jaxblur.native import keep_kernels
+        from jaxblur.kernels.cpp import keep_kernels
 
     _spare_the_collector()
     keep_kernels(compile_cache)

@@ -1,9 +1,9 @@
-"""Frames in and out of image files, through OpenImageIO.
+"""Read and write frames as image files, through OpenImageIO.
 
-`read_frame` gives what the filters take, in the conventions of `jaxblur.frame`, whatever
+`read_frame` returns a frame for the filters, in the conventions of `jaxblur.frame`, whatever
 renderer wrote the file: channels are recognized by name, motion vectors are converted by the
-presets of `jaxblur.vectors`, background depth becomes ``+inf``. Everything is checked where it
-is read: a `JaxblurIOError` names file, channel and remedy, in one line.
+presets of `jaxblur.vectors`, background depth becomes ``+inf``. Values are checked when they are
+read: a `JaxblurIOError` names file, channel and remedy in one line.
 
     import jaxblur
 
@@ -11,12 +11,12 @@ is read: a `JaxblurIOError` names file, channel and remedy, in one line.
     blurred = jaxblur.guertin2014(frame, jaxblur.GuertinParameters())
     jaxblur.write_image("blurred.0011.exr", blurred, like="shot.0011.exr")
 
-`write_image` keeps windows, metadata, timecode and every other channel of the file it is
-given as a model; files appear under their name only when they are whole. `inspect` lists what
-a file holds. Reading and listing do not load jax; only `read_frame` does, at its end.
+`write_image` keeps windows, metadata, timecode and every other channel of a model file; files
+appear under their name only when they are complete. `inspect` lists the contents of a file. Reading
+and listing do not load jax; only `read_frame` does, at its end.
 
-Pixels are those of the data window: overscan goes through the filter and comes back. Color is
-linear and, where there is alpha, premultiplied; it is neither clipped nor converted.
+Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
+and, where there is alpha, premultiplied; it is neither clipped nor converted.
 """
 
 from .choose import (

@@ -1,7 +1,7 @@
-"""Checks of the pixels that a frame is read from: refused, warned about, or left out.
+"""Checks of the pixels of a frame: bad ones raise an error, give a warning, or are left out.
 
-Warnings point at the caller of `read_buffers`, which calls what reads color, vectors or depth,
-which calls these.
+Warnings point at the caller of `read_buffers`: it calls the readers of color, vectors and depth,
+and these call the checks.
 """
 
 import warnings
@@ -15,7 +15,7 @@ from jaxblur.nonfinite import not_finite
 
 from .files import Channel, FileInfo, JaxblurIOError, JaxblurIOWarning, PathLike
 
-# Squares of larger displacements overflow single precision; no picture is that large.
+# Squares of much larger displacements overflow single precision; no picture is that large.
 SPEED_LIMIT = 1e6
 
 _IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
@@ -24,17 +24,17 @@ _IGNORE = "repair it, or leave such pixels out with nonfinite='ignore'."
 def refuse(
     bad: Bool[np.ndarray, "height width"], path: PathLike, channel: str, what: str, remedy: str
 ) -> None:
-    """Refuse bad pixels, naming their number and the first one.
+    """Raise an error for bad pixels that states their number and the first one.
 
     Args:
-        bad: (H, W) True for those.
+        bad: (H, W) True for bad pixels.
         path: file, for the message.
         channel: channels, for the message.
-        what: is wrong with them.
-        remedy: what to do, with its full stop.
+        what: the fault, for the message.
+        remedy: advice for the message, with its full stop.
 
     Raises:
-        JaxblurIOError: there is one.
+        JaxblurIOError: a pixel is bad.
     """
     if bad.any():
         row, column = np.argwhere(bad)[0]
@@ -51,11 +51,11 @@ def refuse_or_zero(
     values: Float[np.ndarray, "height width channels"],
     nonfinite: str,
 ) -> tuple[Float[np.ndarray, "height width channels"], Bool[np.ndarray, "height width"]]:
-    """Refuse NaN and infinity channel by channel, or set those pixels to 0 and say which.
+    """Raise an error for NaN and infinity, channel by channel, or set those pixels to 0.
 
     Args:
         path: file, for messages.
-        names: of the channels.
+        names: names of the channels.
         values: (H, W, C) as read.
         nonfinite: "error", "ignore" (with a warning) or "keep".
 
@@ -78,19 +78,19 @@ def refuse_or_zero(
 def without_depth(
     path: PathLike, name: str, raw: Float[np.ndarray, "height width"], nonfinite: str
 ) -> Bool[np.ndarray, "height width"]:
-    """Refuse NaN and negative infinity in depth, or say where they count as sky.
+    """Raise an error for NaN and negative infinity in depth, or return where they count as sky.
 
     Args:
         path: file, for messages.
-        name: of the channel.
-        raw: (H, W) depth as read; of negated depth its negative.
+        name: name of the channel.
+        raw: (H, W) depth as read; negated if the file stores negated depth.
         nonfinite: "error", "ignore" (with a warning) or "keep".
 
     Returns:
-        (H, W) True where they are ignored.
+        (H, W) True where such values are ignored.
 
     Raises:
-        JaxblurIOError: ``nonfinite`` is "error" and there is one.
+        JaxblurIOError: ``nonfinite`` is "error" and a pixel has such a value.
     """
     bad = np.isnan(raw) | np.isneginf(raw)
     if nonfinite == "error":
@@ -103,31 +103,31 @@ def without_depth(
 def check_speed(
     velocity: Float[np.ndarray, "height width 2"], path: PathLike, guess: vectors.Guess
 ) -> None:
-    """Refuse velocities that no picture can have.
+    """Raise an error for velocities that no picture can have.
 
     Args:
         velocity: (H, W, 2) half-spread in pixels.
         path: file, for messages.
-        guess: how it was read.
+        guess: convention under which the velocity was read.
 
     Raises:
-        JaxblurIOError: one exceeds `SPEED_LIMIT`, or is NaN.
+        JaxblurIOError: a component exceeds `SPEED_LIMIT` or is NaN.
     """
-    # Negated, so that NaN from an overflow is caught too.
+    # Written with a negation, so that NaN from an overflow is caught too.
     fast = ~(np.abs(velocity).max(axis=-1) <= SPEED_LIMIT)
     remedy = f"check the preset ({guess.preset.name}) and the file."
     refuse(fast, path, ", ".join(guess.channels), f"faster than {SPEED_LIMIT:.0e} px", remedy)
 
 
 def warn_lossy(info: FileInfo, channel: Channel) -> None:
-    """Warn of a channel of vectors or depth whose compression changes its values.
+    """Warn if the compression of a channel of vectors or depth changes its values.
 
     Args:
         info: listing of the file.
-        channel: of it.
+        channel: the channel.
     """
     compression = info.parts[channel.part].compression.partition(":")[0]
-    # DWA takes channels called like color for color and stores the others exactly.
+    # DWA treats channels with the names of colors as color and stores all others exactly.
     like_color = channel.name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "RY", "BY")
     lossy = {
         "pxr24": channel.type == "float",

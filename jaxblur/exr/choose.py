@@ -7,7 +7,7 @@ from jaxblur import vectors
 
 from .files import FileInfo, JaxblurIOError
 
-# Layers that hold the picture, most telling first; the empty name is the root layer.
+# Names of layers that hold the picture, the clearest first; the empty name is the root layer.
 COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "finalimage")
 DEPTH_PATTERNS = (
     *("Depth.Z", "Depth.V", "depth.Z", "depth.V", "depth.z", "Depth.R", "depth.R", "depth.Y"),
@@ -23,7 +23,7 @@ class ColorGroup:
     """The color channels of a file.
 
     Attributes:
-        prefix: what stands before the component, with its dot; empty at the root.
+        prefix: part of the name before the component, with its dot; empty at the root.
         channels: full names in the order R, G, B, A or Y, A, or as given.
         alpha: full name of the alpha channel, or None.
     """
@@ -44,7 +44,7 @@ def names_in_layer(info: FileInfo, layer: str | None) -> tuple[str, ...]:
         Full names.
 
     Raises:
-        JaxblurIOError: the layer holds nothing.
+        JaxblurIOError: the file has no such layer.
     """
     if layer is None:
         return info.channel_names
@@ -62,7 +62,7 @@ def choose_color(
 
     Args:
         info: listing of the file.
-        layer: look in this layer only.
+        layer: search this layer only.
         color_channels: full names to take instead.
 
     Returns:
@@ -100,21 +100,21 @@ def choose_vectors(
     Args:
         info: listing of the file.
         preset: a convention, or "auto" to recognize it.
-        layer: look in this layer only.
-        velocity_channels: full names to take, for conventions that names do not tell.
+        layer: search this layer only.
+        velocity_channels: full names to take, for conventions that cannot be recognized by name.
 
     Returns:
         Convention, channels and the reason.
 
     Raises:
-        JaxblurIOError: nothing or several things match.
+        JaxblurIOError: no channels match, or several sets of them do.
     """
     try:
         if velocity_channels is not None:
             names = [info.channel(name).name for name in velocity_channels]
             if preset == "auto":
                 raise ValueError(
-                    "`velocity_channels` do not tell what their values mean; name the convention "
+                    "`velocity_channels` do not say what the values mean; name the convention "
                     "with `preset`."
                 )
             return vectors.assign_channels(preset, names)
@@ -137,16 +137,16 @@ def choose_depth(
 
     Args:
         info: listing of the file.
-        layer: look in this layer only.
+        layer: search this layer only.
         depth_channel: full name to take instead.
-        color_prefix: layer of the color; a Z beside it is depth.
-        taken: channels that are something else (the vectors).
+        color_prefix: layer of the color; a Z in the same layer is depth.
+        taken: channels that have another use (the vectors).
 
     Returns:
         Its full name.
 
     Raises:
-        JaxblurIOError: there is none, or several could be it.
+        JaxblurIOError: the file has no depth channel, or several candidates.
     """
     if depth_channel is not None:
         return info.channel(depth_channel).name
@@ -169,13 +169,13 @@ def choose_depth(
 
 
 def is_depth(name: str) -> bool:
-    """Tell by its name whether a channel holds depth, where infinity is sky.
+    """Decide by name whether a channel holds depth, in which infinity is sky.
 
     Args:
-        name: full name.
+        name: full name of the channel.
 
     Returns:
-        Whether it does.
+        True if it holds depth.
     """
     return any(vectors.find_channels(pattern, [name]) for pattern in (*DEPTH_PATTERNS, *ROOT_DEPTH))
 

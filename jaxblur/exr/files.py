@@ -1,4 +1,4 @@
-"""Open image files, list what is in them, read chosen channels; every failure is one error."""
+"""Open image files, list their contents, read channels; every failure is a `JaxblurIOError`."""
 
 import contextlib
 import dataclasses
@@ -17,7 +17,7 @@ PathLike = str | os.PathLike[str]
 
 EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
 IMAGE_SIZE_LIMIT_MB = 4096
-# Deflate cannot expand further, the others here even less; a crafted header is told by that.
+# Deflate cannot expand by more, the other schemes here by even less; this exposes crafted headers.
 LARGEST_EXPANSION = {
     "none": 1,
     **dict.fromkeys(("rle", "zips", "zip", "pxr24", "piz", "b44", "b44a"), 2000),
@@ -29,7 +29,7 @@ UNKNOWN_EXPANSION = 200_000
 class JaxblurIOError(Exception):
     """A file could not be read or written; the message is one line: file, problem, remedy.
 
-    Names in the message came from files: what is not printable in them is escaped.
+    Names in the message come from files, so characters that are not printable are escaped.
 
     Attributes:
         path: the file.
@@ -77,7 +77,7 @@ class Part:
         data_window: (x, y, width, height) of the stored pixels; the origin may be negative.
         display_window: (x, y, width, height) of the full picture.
         compression: scheme as the file names it, "none" if it names none.
-        deep: holds several samples per pixel.
+        deep: whether pixels hold several samples each.
         attributes: metadata, values as OpenImageIO gives them.
     """
 
@@ -92,7 +92,7 @@ class Part:
 
 @dataclasses.dataclass(frozen=True)
 class FileInfo:
-    """What a file holds.
+    """Listing of a file.
 
     Attributes:
         path: the file.
@@ -122,7 +122,7 @@ class FileInfo:
             The channel.
 
         Raises:
-            JaxblurIOError: there is none of that name, or several.
+            JaxblurIOError: no channel or several channels have that name.
         """
         found = [channel for channel in self.channels if channel.name == name]
         if len(found) != 1:
@@ -142,7 +142,8 @@ def inspect(path: PathLike) -> FileInfo:
         The listing.
 
     Raises:
-        JaxblurIOError: missing, unreadable or not an image of the kind that its name says.
+        JaxblurIOError: the file is missing, unreadable, or not of the kind that its extension
+            names.
     """
     with open_input(path) as source:
         return describe(source, path)
@@ -177,10 +178,11 @@ def open_input(path: PathLike) -> Iterator[Any]:
         An ``OpenImageIO.ImageInput``.
 
     Raises:
-        JaxblurIOError: missing, a folder, of another kind, or unreadable.
+        JaxblurIOError: the file is missing, a folder, of another kind, or unreadable.
     """
     check_readable(path)
-    # A crafted header may ask for all memory, and a foreign reader is a needless risk.
+    # A crafted header may request all memory, and trying the readers of other formats is a needless
+    # risk.
     oiio.attribute("limits:imagesize_MB", IMAGE_SIZE_LIMIT_MB)
     oiio.attribute("try_all_readers", 0)
     try:
@@ -205,13 +207,13 @@ def _unopened(path: PathLike, message: str) -> str:
 
 
 def check_readable(path: PathLike) -> None:
-    """Refuse paths that cannot be an image before any reader sees them.
+    """Check that a path can be an image before it is passed to a reader.
 
     Args:
         path: an image file.
 
     Raises:
-        JaxblurIOError: missing, a folder, empty, or with an extension that is not supported.
+        JaxblurIOError: the file is missing, a folder, empty, or has an unsupported extension.
     """
     file = pathlib.Path(path)
     if not file.exists():
@@ -231,7 +233,7 @@ def pending_message(source: Any = None) -> str:
         source: the reader or writer that failed, if there is one.
 
     Returns:
-        The message on one line; messages that are not text are replaced by a remark.
+        The message on one line; a message that is not text is replaced by a note that says so.
     """
     messages = []
     for get in ([source.geterror] if source is not None else []) + [oiio.geterror]:
@@ -274,7 +276,7 @@ def describe(source: Any, path: PathLike) -> FileInfo:
 def read_named(
     source: Any, info: FileInfo, names: Sequence[str]
 ) -> Float[np.ndarray, "height width names"]:
-    """Read channels of an open image by full name, each span of neighbors at once.
+    """Read channels of an open image by full name, with one read per span of neighboring channels.
 
     Args:
         source: an open ``ImageInput``.
@@ -305,7 +307,7 @@ def read_named(
         return pixels_of(runs[0])
     out = None
     for run in runs:
-        # The first read comes before the allocation: it refuses sizes that cannot be.
+        # The first read comes before the allocation, because it rejects impossible sizes.
         pixels = pixels_of(run)
         out = np.empty((height, width, len(names)), np.float32) if out is None else out
         for position, target in enumerate(run):
@@ -323,13 +325,13 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
         part: index of the part.
         begin: first channel.
         end: one past the last channel.
-        kind: OpenImageIO's name of the type to convert to.
+        kind: OpenImageIO's name of the type to which pixels are converted.
 
     Returns:
         (H, W, end - begin) array.
 
     Raises:
-        JaxblurIOError: the part is deep, or its pixels cannot be read whole.
+        JaxblurIOError: the part is deep, or its pixels cannot be read completely.
     """
     described = info.parts[part]
     names = ", ".join(channel.name for channel in described.channels[begin:end])
@@ -349,7 +351,7 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
 
 
 def _check_size(info: FileInfo, part: Part) -> None:
-    """Refuse a header that asks for more pixels than the file can hold, before allocating."""
+    """Reject a header that claims more pixels than the file can hold, before allocating."""
     if not info.path.lower().endswith(".exr"):
         return
     *_, width, height = part.data_window
@@ -392,7 +394,7 @@ def _attributes(spec: Any) -> dict[str, Any]:
 
 
 def _printable(text: str) -> str:
-    """Spell out bytes that are not UTF-8, as studios with local encodings write them."""
+    """Escape bytes that are not UTF-8, which local encodings leave in names."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
@@ -406,7 +408,7 @@ def _qualified(part: Part) -> Part:
 
 
 def _runs(order: list[int], channels: list[Channel]) -> Iterator[list[int]]:
-    """Split positions, sorted by place in the file, into runs of neighboring channels."""
+    """Split positions, sorted by their order in the file, into runs of neighboring channels."""
     run: list[int] = []
     for position in order:
         previous = channels[run[-1]] if run else None

@@ -1,9 +1,9 @@
 """Change channel types in the header of an EXR file.
 
 OpenImageIO converts through float32 when a part mixes integer channels with others, and 32-bit
-identifiers do not survive that. So the bits of such a channel are written as a float channel,
-which is exact, and the header is corrected afterwards: both types have four bytes, and the
-compression schemes used here do not look at the type.
+identifiers do not survive that. Therefore the bits of such a channel are written as a float
+channel, which is exact, and the header is corrected afterwards: both types have four bytes, and the
+compression schemes used here do not depend on the type.
 
 Source: OpenEXR file layout, "Header attributes" and "chlist".
 """

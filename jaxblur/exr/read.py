@@ -1,4 +1,4 @@
-"""Read frames: color, depth and vectors, converted and checked at the door."""
+"""Read frames: color, depth and vectors, converted and checked on input."""
 
 import dataclasses
 import warnings
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from jaxblur.frame import Frame
 
 DEPTH_KINDS = ("z", "-z", "1/z", "normalized-near1", "flat")
-# Renderers that cannot write infinity write 1e10 or 1e30 for the sky.
+# Renderers that cannot write infinity store 1e10 or 1e30 for the sky.
 SKY_DEPTH = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
 class Buffers:
-    """A frame as NumPy arrays, with how it was read.
+    """A frame as NumPy arrays, with a record of how it was read.
 
     Attributes:
         color: (H, W, C) float32 as stored, premultiplied if it has alpha.
@@ -41,11 +41,11 @@ class Buffers:
         path: (H, W, 2, 2) displacement at shutter opening and closing, or None.
         color_channels: full names of the color channels.
         depth_channel: full name, or None where depth is flat.
-        depth_kind: how depth was read.
-        guess: convention and channels of the vectors, and why.
-        valid: (H, W) False where the color is NaN or infinite and is to be left out, or None
-            where all of it is used.
-        ignored: how many pixels ``nonfinite="ignore"`` left out.
+        depth_kind: the kind that depth was read as.
+        guess: convention and channels of the vectors, and the reason for them.
+        valid: (H, W) False where the color is NaN or infinite and is left out, or None if all
+            pixels are used.
+        ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -81,7 +81,7 @@ def read_frame(
     """Read a frame for the filters.
 
     Args:
-        path: image with the color and, unless given apart, vectors and depth.
+        path: image with the color and, unless other files are given, vectors and depth.
         preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
         shutter: exposure to blur for, frames.
         **options: see `read_buffers`.
@@ -90,11 +90,11 @@ def read_frame(
         The frame, in the conventions of `jaxblur.frame`.
 
     Raises:
-        JaxblurIOError: as `read_buffers`.
-        ValueError: as `read_buffers`.
+        JaxblurIOError: as for `read_buffers`.
+        ValueError: as for `read_buffers`.
     """
     buffers = read_buffers(path, preset, shutter, **options)
-    # Late, so that listings and path errors answer without loading jax.
+    # Imported late, so that listings and path errors do not load jax.
     import jax.numpy as jnp
 
     from jaxblur.frame import Frame
@@ -127,24 +127,25 @@ def read_buffers(
     """Read color, depth and vectors, convert and check them; jax is not loaded.
 
     Args:
-        path: image with the color and, unless given apart, vectors and depth; integer images are
-            decoded with the sRGB curve.
+        path: image with the color and, unless other files are given, vectors and depth; integer
+            images are decoded with the sRGB curve.
         preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
         shutter: exposure to blur for, frames.
         depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers),
-            "normalized-near1" 0..1 with near white (only its order is used: 2 - value), "flat"
-            everything equally far, "auto" as the preset's renderer does.
+            "normalized-near1" 0..1 with white as nearest (only the order is used: 2 - value),
+            "flat" the same distance everywhere, "auto" the usual kind of the preset's renderer.
         velocity_from: file with the vectors.
         depth_from: file with the depth.
         file_shutter: exposure of the render that wrote the vectors, frames; only for presets
             that span the shutter.
-        max_displace: pixels that a full-range vector stands for; only for presets scaled so.
-        layer: view layer, view or part to look in.
+        max_displace: displacement in pixels of a full-range vector; only for presets scaled by it.
+        layer: view layer, view or part to search.
         color_channels: full names of the color channels.
         velocity_channels: full names of the vector channels, x and y of each pair.
         depth_channel: full name of the depth channel.
-        nonfinite: NaN and infinity in color or vectors, and NaN and negative infinity in depth:
-            "error", "ignore" (with a warning; see `jaxblur.nonfinite`), or "keep" for looking.
+        nonfinite: treatment of NaN and infinity in color or vectors, and of NaN and negative
+            infinity in depth: "error", "ignore" (with a warning; see `jaxblur.nonfinite`), or
+            "keep" for inspection.
 
     Returns:
         The buffers, all of one size.
@@ -152,7 +153,7 @@ def read_buffers(
     Raises:
         JaxblurIOError: a file is missing or damaged, a channel is missing or ambiguous, values
             are out of range or not finite, or sizes differ. The message names file and channel.
-        ValueError: an argument that does not depend on the file is wrong.
+        ValueError: an argument is wrong whatever the file holds.
     """
     _check_arguments(preset, shutter, depth, nonfinite)
     info = inspect(path)
@@ -195,14 +196,15 @@ def read_image(
 
     Args:
         path: image file.
-        layer: view layer, view or part to look in.
+        layer: view layer, view or part to search.
         color_channels: full names to read instead of the recognized ones.
 
     Returns:
         (H, W, C) float32 linear light, channels in the order R, G, B, A.
 
     Raises:
-        JaxblurIOError: missing, damaged, no color, or values that are not finite.
+        JaxblurIOError: the file is missing or damaged, has no color, or holds values that are not
+            finite.
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
@@ -220,7 +222,7 @@ def count_not_finite(info: FileInfo, names: Sequence[str]) -> dict[str, int]:
         The number of pixels by channel.
 
     Raises:
-        JaxblurIOError: the pixels cannot be read whole.
+        JaxblurIOError: the pixels cannot be read completely.
     """
     values = read_channels(info.path, names)
     counts = {}
@@ -234,9 +236,9 @@ def count_not_finite(info: FileInfo, names: Sequence[str]) -> dict[str, int]:
 def to_distance(
     raw: Float[np.ndarray, "height width"], kind: str, path: PathLike, channel: str
 ) -> Float[np.ndarray, "height width"]:
-    """Turn stored depth into positive distance, with +inf where nothing was hit.
+    """Convert stored depth to positive distance, with +inf for the background.
 
-    Background is what is not finite, 1e9 or more, or 0 ("z", "-z", "1/z", and near-white depth).
+    A pixel is background if its value is not finite, 1e9 or more, or 0 (for every kind of depth).
 
     Args:
         raw: (H, W) as stored.
@@ -284,7 +286,7 @@ def _check_arguments(preset: str, shutter: float, depth: str, nonfinite: str) ->
 
 
 def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read the color as linear light, and where it is unknown; integer files hold sRGB."""
+    """Read the color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
     color = read_channels(info.path, group.channels)
     for index, name in enumerate(group.channels):
         if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
@@ -295,7 +297,7 @@ def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.n
 def _read_vectors(
     info: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup, nonfinite: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read vectors as they are stored, and where they are unknown."""
+    """Read vectors as they are stored, and a mask of unknown pixels."""
     raw = _read_data(info, names, picture, group)
     return refuse_or_zero(info.path, names, raw, nonfinite)
 
@@ -303,24 +305,24 @@ def _read_vectors(
 def _read_distance(
     info: FileInfo, name: str, kind: str, picture: FileInfo, group: ColorGroup, nonfinite: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read depth as positive distance, and where it is unknown."""
+    """Read depth as positive distance, and a mask of unknown pixels."""
     raw = _read_data(info, [name], picture, group)[..., 0]
     lost = without_depth(info.path, name, -raw if kind == "-z" else raw, nonfinite)
     return to_distance(raw, kind, info.path, name), lost
 
 
 def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
-    """Settle "auto"; warn where it means more than a plain distance."""
+    """Resolve "auto"; warn if it means anything but plain distance."""
     if depth != "auto":
         return depth
     kind = guess.preset.depth
     if kind == "1/z" and channel == "Z":
-        # OpenEXR reserves the plain name for distance; what inverts it names a layer.
+        # OpenEXR reserves the plain name Z for distance; inverse depth is in a named layer.
         return "z"
     if kind != "z":
         warnings.warn(
             f"{path}: depth is read as {kind}, as {guess.preset.name} usually writes it; pass "
-            f"depth='{kind}' or depth='z' to settle it.",
+            f"depth='{kind}' or depth='z' to choose explicitly.",
             JaxblurIOWarning,
             stacklevel=3,
         )
@@ -330,7 +332,7 @@ def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) 
 def _read_data(
     data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
 ) -> np.ndarray:
-    """Read vectors or depth and hold their data window against the color's."""
+    """Read vectors or depth, and check that their data window is that of the color."""
     values = read_channels(data.path, names)
     window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
     if window != wanted:
@@ -345,7 +347,7 @@ def _read_data(
 
 
 def _window(info: FileInfo, channel: str) -> str:
-    """Spell out a data window, such as ``6x4 at (-1, 0)``."""
+    """Format a data window, such as ``6x4 at (-1, 0)``."""
     x, y, width, height = info.parts[info.channel(channel).part].data_window
     return f"{width}x{height} at ({x}, {y})"
 
@@ -359,9 +361,9 @@ def _half_spread(
     shutter: float,
     scale: dict[str, float | None],
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Velocity and perhaps paths, at rest where they are unknown."""
+    """Compute the velocity and, if known, the path; unknown vectors count as at rest."""
     *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
-    # Damaged values overflow here; a check or the caller's statistics report them.
+    # Damaged values may overflow here; `check_speed` or the caller's statistics report them.
     with np.errstate(invalid="ignore", over="ignore"):
         try:
             displacements = vectors.to_displacements(
@@ -374,7 +376,7 @@ def _half_spread(
 
 
 def _stopped(motion: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Set velocities or paths to 0 where they are unknown: raw values may rest elsewhere."""
+    """Set unknown velocities or paths to 0, because the raw value of rest may differ from 0."""
     if not still.any():
         return motion
     return np.where(still.reshape(*still.shape, *(1,) * (motion.ndim - 2)), np.float32(0), motion)

@@ -1,4 +1,4 @@
-"""Write images: atomically, with the windows, metadata and other channels of a model file."""
+"""Write images atomically, with the windows, metadata and other channels of a model file."""
 
 import dataclasses
 import os
@@ -51,12 +51,12 @@ def write_image(
     overwrite: bool = True,
     nonfinite: Literal["keep", "zero"] = "keep",
 ) -> None:
-    """Write a picture, by default in place of the color of another file.
+    """Write an image, alone or in place of the color of another file.
 
-    The file appears under its name only when it is whole. With ``like``, windows, metadata,
-    timecode, channel names and types are those of that file, and all its other channels and
-    parts are copied bit for bit; its compression is kept where it is lossless, else zip. A
-    ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
+    The file appears under its name only when it is complete. With ``like``, windows, metadata,
+    timecode, channel names and types are those of that file, and all its other channels and parts
+    are copied bit for bit; its compression is kept if it is lossless and replaced by zip otherwise.
+    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
 
     Args:
         path: ``.exr`` or ``.png`` to write.
@@ -65,16 +65,17 @@ def write_image(
         extra: "drop" leaves out all channels and parts of ``like`` that are not color.
         dtype: type of the color channels; that of ``like`` if None, else half.
         attributes: metadata to add, such as ``{"jaxblur:version": "0.1.0"}``.
-        layer: where in ``like`` to look for color, as in `read_frame`.
+        layer: layer of ``like`` to search for color, as in `read_frame`.
         color_channels: full names of the channels of ``like`` to replace.
-        overwrite: replace an existing file; it is never ``like``.
-        nonfinite: NaN, and infinity other than sky in depth, in the channels that are copied from
-            ``like``: "keep", or "zero" (infinity in depth), with a warning either way.
+        overwrite: replace an existing file, which must not be ``like``.
+        nonfinite: treatment of NaN, and of infinity other than sky in depth, in the channels that
+            are copied from ``like``: "keep" them, or replace them by "zero" (in depth by infinity);
+            both give a warning.
 
     Raises:
-        JaxblurIOError: not finite, sizes or channel counts differ, ``path`` is ``like`` itself
-            or exists without ``overwrite``, or the disk refused; nothing is left behind and an
-            older file stays as it was.
+        JaxblurIOError: the image is not finite, sizes or channel counts differ, ``path`` is
+            ``like`` itself or exists without ``overwrite``, or writing failed. Then no partial file
+            is left, and an older file stays as it was.
         ValueError: an argument is wrong.
     """
     if extra not in ("keep", "drop"):
@@ -120,7 +121,7 @@ def write_channels(
         attributes: metadata to add.
 
     Raises:
-        JaxblurIOError: the disk refused.
+        JaxblurIOError: writing failed.
         ValueError: no channels, or sizes differ.
     """
     arrays = {name: np.asarray(values, np.float32) for name, values in channels.items()}
@@ -148,19 +149,19 @@ def write_frame(
     *,
     attributes: Mapping[str, str | int | float] | None = None,
 ) -> None:
-    """Write a frame as preset ``jaxblur`` reads it: color half, depth Z and vectors float.
+    """Write a frame in the convention of preset ``jaxblur``: color half, depth Z and vectors float.
 
     The velocity channels hold pixels per full frame, x right, y down: ``2/shutter * velocity``,
-    or, with a path, the positions one frame before and after (the parabola through the ends).
+    or, with a path, the displacements to the previous and the next frame (see `vectors.from_path`).
 
     Args:
         path: ``.exr`` to write.
         frame: color with 1 to 4 channels, depth, half-spread, and optionally a path.
-        shutter: exposure that the half-spread stands for, frames, above 0.
+        shutter: exposure of the half-spread, frames, above 0.
         attributes: metadata to add.
 
     Raises:
-        JaxblurIOError: the disk refused.
+        JaxblurIOError: writing failed.
         ValueError: ``shutter`` is not positive.
     """
     if not shutter > 0:
@@ -174,14 +175,14 @@ def write_frame(
 
 
 def refuse_overwrite(output: PathLike, *inputs: PathLike) -> None:
-    """Refuse an output path that is one of the inputs, by whatever name.
+    """Raise an error if an output path is one of the inputs, even under another name.
 
     Args:
         output: file to be written.
         *inputs: files that are read.
 
     Raises:
-        JaxblurIOError: they are the same file.
+        JaxblurIOError: the output is the same file as an input.
     """
     for source in inputs:
         if os.path.exists(output) and os.path.exists(source) and os.path.samefile(output, source):
@@ -190,13 +191,13 @@ def refuse_overwrite(output: PathLike, *inputs: PathLike) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class _Plan:
-    """How one part of the model is written.
+    """Plan for writing one part of the model.
 
     Attributes:
         part: its index in the model.
         spec: header of the output part.
         keep: indices of the model's channels that are written, in order.
-        color: (position in ``keep``, channel of the image) of what is replaced.
+        color: (position in ``keep``, channel of the image) of each replaced channel.
         half: positions in ``keep`` of replaced channels that are written as half.
         uint: positions in ``keep`` of integer channels.
     """
@@ -249,7 +250,7 @@ def _plan_part(
     scheme = part.compression.partition(":")[0]
     allowed = TYPE_BLIND if uint else LOSSLESS
     header.attribute("compression", scheme if scheme in allowed else "zip")
-    # They describe the model's own storage, which may change here.
+    # These attributes describe how the model is stored, which may change here.
     for name in ("openexr:chunkCount", "openexr:levelmode", "openexr:dwaCompressionLevel"):
         header.erase_attribute(name)
     half = tuple(position for position, _ in replaced if kinds[position] == "half")
@@ -287,7 +288,7 @@ def _write_parts(
 def _mended_part(
     path: PathLike, source: Any, info: FileInfo, plan: _Plan, mend: bool
 ) -> np.ndarray | None:
-    """Report NaN and infinity in a part that is copied; give its pixels if they were mended."""
+    """Report NaN and infinity in a part that is copied; return its pixels if they were repaired."""
     part = info.parts[plan.part]
     kinds = {channel.type for channel in part.channels}
     if part.deep or not kinds & {"half", "float"}:
@@ -296,7 +297,7 @@ def _mended_part(
         pixels = read_span(source, info, plan.part, 0, len(part.channels), "float")
     except JaxblurIOError as error:
         raise _not_copied(path, info, plan.part, error.reason) from error
-    # Integers do not survive the way through float, so that such a part is copied as it is.
+    # Integers do not survive conversion to float, so a part that has some is copied as it is.
     mend = mend and kinds <= {"half", "float"}
     found = _not_finite(info, plan, pixels, (), mend)
     return pixels if mend and found else None
@@ -305,7 +306,7 @@ def _mended_part(
 def _not_finite(
     info: FileInfo, plan: _Plan, pixels: np.ndarray, replaced: Collection[int], mend: bool
 ) -> bool:
-    """Warn of NaN and infinity in the channels that a file keeps, and mend them if asked."""
+    """Warn of NaN and infinity in the channels that are kept, and repair them on request."""
     found = []
     for position, index in enumerate(plan.keep):
         channel = info.parts[plan.part].channels[index]
@@ -318,7 +319,8 @@ def _not_finite(
         if bad.any():
             found.append(f"{channel.name} ({int(bad.sum())} pixels)")
             if mend:
-                # Unknown depth is far away, as filters take it; 0 would be the nearest there is.
+                # Unknown depth becomes infinitely far, as filters treat it; 0 would be in front of
+                # everything.
                 values[bad] = np.inf if is_depth(channel.name) else 0
     if found:
         done = "set to 0 (depth to infinity)" if mend else "copied as they are"
@@ -333,7 +335,7 @@ def _not_finite(
 def _merged(
     path: PathLike, source: Any, info: FileInfo, plan: _Plan, image: np.ndarray, mend: bool
 ) -> np.ndarray:
-    """Take a part of the model and put the new color in."""
+    """Read a part of the model and replace its color."""
     channels = info.parts[plan.part].channels
     old = read_span(source, info, plan.part, 0, len(channels), "float")
     pixels = np.ascontiguousarray(old[..., plan.keep])
@@ -366,7 +368,7 @@ def _not_copied(path: PathLike, info: FileInfo, part: int, why: str) -> JaxblurI
 
 
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
-    """Hold the image against the model's size and number of color channels."""
+    """Check the image against the model's size and number of color channels."""
     if not info.path.lower().endswith(".exr"):
         raise JaxblurIOError(info.path, "`like` must be an .exr file.")
     *_, width, height = info.parts[info.channel(names[0]).part].data_window
@@ -397,7 +399,7 @@ def _clamp_half(path: PathLike, values: np.ndarray) -> np.ndarray:
     over = np.abs(values) > HALF_MAX
     if over.any():
         warnings.warn(
-            f"{path}: {int(over.sum())} values beyond {HALF_MAX:.0f} were clamped, the range of "
+            f"{path}: {int(over.sum())} values beyond {HALF_MAX:.0f} were clamped to the range of "
             "half; write float to keep them.",
             JaxblurIOWarning,
             stacklevel=4,

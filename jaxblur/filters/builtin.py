@@ -14,7 +14,8 @@ _HALF_A_SPACING = 0.5
 """Largest jitter of the taps, in spacings, of the filters without a parameter for it."""
 
 
-def _needs_odd_samples(settings: Settings) -> None:
+def needs_odd_samples(settings: Settings) -> None:
+    """Reject an even number of samples."""
     if settings.samples % 2 == 0:
         raise ValueError(
             f"`settings.samples` must be odd for mcguire2012, got {settings.samples}; "
@@ -22,7 +23,8 @@ def _needs_odd_samples(settings: Settings) -> None:
         )
 
 
-def _needs_a_slice(settings: Settings) -> None:
+def needs_a_slice(settings: Settings) -> None:
+    """Reject fewer samples than a time slice takes."""
     if settings.samples < LAYERED_GUESSES:
         raise ValueError(
             f"`settings.samples` must be at least {LAYERED_GUESSES} for layered, got "
@@ -96,7 +98,7 @@ def _guertin_rows(
 def _layered_rows(
     parameters: LayeredParameters, settings: Settings, curved: bool
 ) -> tuple[int, int]:
-    from .reaching import fine_tile
+    from .layered.reaching import fine_tile
 
     # A tap is as far as the velocity, its turn, and the bend of a path, the radius at most each;
     # the lines of the tile that a pixel reads begin no farther away.
@@ -122,7 +124,7 @@ BUILTIN: Sequence[FilterInfo] = (
         function="jaxblur.filters.mcguire2012:mcguire2012",
         parameters=McGuireParameters,
         settings=Settings(samples=15, radius=20),
-        check=_needs_odd_samples,
+        check=needs_odd_samples,
         row_reach=_mcguire_rows,
     ),
     FilterInfo(
@@ -137,7 +139,7 @@ BUILTIN: Sequence[FilterInfo] = (
         function="jaxblur.filters.layered:layered",
         parameters=LayeredParameters,
         settings=Settings(radius=160, fetch="bilinear"),
-        check=_needs_a_slice,
+        check=needs_a_slice,
         row_reach=_layered_rows,
     ),
 )

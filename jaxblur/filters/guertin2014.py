@@ -1,36 +1,24 @@
-"""A Fast and Stable Feature-Aware Motion Blur Filter [Guertin, McGuire, Nowrouzezahrai 2014]."""
+"""A Fast and Stable Feature-Aware Motion Blur Filter [Guertin, McGuire, Nowrouzezahrai 2014].
+
+The passes are numbered as in this folder's README; beside them lie chapter 3 and Annexe I.
+"""
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array, Bool, Float, Int
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import cond_of_values, everywhere, gather_samples, unchanged
-from ..native import Stages
+from ..kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ..noise import Noise, resolve_noise
-from ..safe_math import safe_norm
-from ..sampling import (
-    channel,
-    path_samples,
-    read_color,
-    read_position,
-    read_row,
-    sample_limit,
-    tap_position,
-)
+from ..safe_math import safe_norm, safe_normalize, shortening
 from ..settings import GuertinSettings, Settings, checked_settings
-from ..tiles import (
-    dominant_velocity,
-    own_tile,
-    reachable_tiles,
-    sample_tiles,
-    shortening,
-    stochastic_tile,
-    tile_variance,
-)
-from ..weights import (
+from ._masking import append_mask, divide_by_mask
+from ._sampling import find_texel, path_samples, read_color, tap_position
+from ._weights import (
     SPEED_FLOOR,
     anything_moves,
     cone,
@@ -39,218 +27,405 @@ from ..weights import (
     floored_speed,
     relative_closeness,
 )
-from .masking import append_mask, divide_by_mask
-from .parameters import GuertinParameters as GuertinParameters
-from .two_directions import follows_center, tile_choices, two_directions
-
-PERPENDICULAR = 1e-6
-"""Cosine of an angle that counts as a right one."""
-MOTION = ("x", "y", "inverse_speed", "depth")
-"""What is known of a pixel's motion, neighbors in memory."""
-REC709_LUMA = (0.2126, 0.7152, 0.0722)
-
+from .parameters import GuertinParameters
+from .tiles import (
+    chances_of_tiles,
+    chosen_tile,
+    dominant_velocity,
+    drawn_tile,
+    own_tile,
+    read_between_tiles,
+    tile_variance,
+)
 
 jax.tree_util.register_dataclass(GuertinParameters)
 
+PERPENDICULAR = 1e-6
+"""Cosines below this count as 0: of two directions that are perpendicular but for rounding."""
+REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
-def _weight(distance, along_pixel, along_sample, sample, local):
-    """Weight of one tap (pass 8 of the specification, Annexe I with departures 1 and 4).
+Vector = tuple[Float[Array, "*a"], Float[Array, "*a"]]
 
-    ``f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)``
+
+class Motion(NamedTuple):
+    """The motion of a pixel, the channels of one image.
+
+    Attributes:
+        x: of the velocity, clamped to the radius, pixels to the right.
+        y: pixels downward.
+        inverse_speed: ``1 / |v|_f``, 1 / pixels.
+        depth: scene units, finite.
     """
-    in_front, behind = relative_closeness(sample["depth"], local["depth"], local["sharpness"])
-    slower = jnp.maximum(sample["inverse_speed"], local["inverse_speed"])
-    return (
-        in_front * cone(distance, sample["inverse_speed"]) * along_sample
-        + behind * cone(distance, local["inverse_speed"]) * along_pixel
-        + 2 * cylinder(distance, slower) * jnp.maximum(along_pixel, along_sample)
+
+    x: Float[Array, "*a"]
+    y: Float[Array, "*a"]
+    inverse_speed: Float[Array, "*a"]
+    depth: Float[Array, "*a"]
+
+
+class Buffers(NamedTuple):
+    """Images of pass 1."""
+
+    velocity: Image
+    depth: Image
+
+
+class Images(NamedTuple):
+    """Images of passes 4 to 10.
+
+    Attributes:
+        color: (H, W, C).
+        motion: (H, W, 4), see `Motion`.
+        dominant: (tile rows, tile columns, 2) dominant velocity of each tile's neighborhood.
+        tap_noise: (H, W, 1) in [-1, 1), or None.
+        tile_noise: (H, W, 2) in [-1/2, 1/2), or None.
+        variance: (tile rows, tile columns, 1) of pass 12, or None.
+    """
+
+    color: Image
+    motion: Image
+    dominant: Image
+    tap_noise: Image | None
+    tile_noise: Image | None
+    variance: Image | None
+
+
+class Scalars(NamedTuple):
+    """Numbers of passes 4 to 10.
+
+    Attributes:
+        parameters: of the filter.
+        choice: number of the tile that a pixel reads under ``tile_choice="expected"``: 0 its own,
+            1 the neighbor along x, 2 the neighbor along y; else None.
+    """
+
+    parameters: GuertinParameters
+    choice: Array | None
+
+
+class Sums(NamedTuple):
+    """Sums over the samples of a pixel."""
+
+    color: tuple[Array, ...]
+    weight: Array
+    count: Array
+
+
+# Pass 1
+
+
+def clamp_motion(at: At, images: Buffers, _: None, settings: GuertinSettings) -> Outcome:
+    """Pass 1: ``v min(1, r / ||v||)``, with the other facts of a pixel's motion beside it."""
+    x, y = images.velocity.here()
+    (depth,) = images.depth.here()
+    speed = safe_norm(x, y)
+    shorter = shortening(speed, settings.radius)
+    inverse_speed = 1 / floored_speed(jnp.minimum(speed, settings.radius))
+    return Outcome(Motion(x * shorter, y * shorter, inverse_speed, finite_depth(depth)))
+
+
+# Passes 4 to 10
+
+
+def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettings) -> Outcome:
+    """Passes 4 to 10: the program of Annexe I."""
+    parameters = scalars.parameters
+    pixel = Motion(*images.motion.here())
+
+    # Pass 4: the dominant velocity of one tile. Pass 5: nothing to do where it is short.
+    dominant = images.dominant.read(*read_tile(at, images, scalars, settings))
+    reach = safe_norm(*dominant)
+    moves = reach > SPEED_FLOOR
+
+    # Pass 6: w_m along the dominant velocity, w_c along the pixel's own.
+    along, center = two_directions(
+        (pixel.x, pixel.y), pixel.inverse_speed, dominant, parameters.gamma
+    )
+
+    # Passes 7 and 8: samples, every other one along w_c.
+    limit = path_samples(reach, settings)
+    count = settings.samples if limit is None else limit
+    jitter = jnp.zeros_like(reach)
+    if images.tap_noise is not None:
+        (noise,) = images.tap_noise.here()
+        jitter = noise * (parameters.eta * parameters.phi / settings.samples)
+    share = None
+    if images.variance is not None:
+        (share,) = read_between_tiles(at, images.variance, settings.radius)
+
+    def sample(i: Int[Array, ""]) -> Sums:
+        second = follows_center(i, settings, share)
+        direction = [jnp.where(second, *pair) for pair in zip(center, along, strict=True)]
+        position = tap_position(i, count, jitter) * reach
+        texel = find_texel(
+            *(at, position * direction[0], position * direction[1], images.color, settings.border)
+        )
+        other = Motion(*images.motion.read_texel(texel.index))
+
+        # wA and wB: how well the pixel and the sample move along the direction (departure 4).
+        along_pixel: Array | int = 1
+        along_other: Array | int = 1
+        if settings.direction_weights == "on":
+            along_pixel = jnp.where(second, 1, _cosine(center, along))
+            along_other = _cosine((other.x, other.y), direction, other.inverse_speed)
+
+        # f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)
+        distance = jnp.abs(position)
+        front, back = relative_closeness(other.depth, pixel.depth, parameters.depth_sharpness)
+        slower = jnp.maximum(other.inverse_speed, pixel.inverse_speed)
+        weight = (
+            front * cone(distance, other.inverse_speed) * along_other
+            + back * cone(distance, pixel.inverse_speed) * along_pixel
+            + 2 * cylinder(distance, slower) * jnp.maximum(along_pixel, along_other)
+        )
+        counts = texel.counts if limit is None else texel.counts & (i < count)
+        weight = jnp.where(counts, weight, 0)
+        colors = read_color(images.color, texel, settings.fetch)
+        one, zero = jnp.ones((), weight.dtype), jnp.zeros((), weight.dtype)
+        return Sums(tuple(weight * color for color in colors), weight, jnp.where(counts, one, zero))
+
+    sums = sum_over(settings.samples, sample, limit)
+
+    # Pass 9: the pixel itself weighs N / (kappa |vc|), N the samples that counted (pass 10).
+    center_weight = sums.count * pixel.inverse_speed / parameters.kappa
+    sharp = (reach <= SPEED_FLOOR) | (sums.count == 0)
+    inverse = 1 / jnp.where(sharp, 1, sums.weight + center_weight)
+    center_share = center_weight * inverse
+    blurred = [
+        jnp.where(sharp, own, color * inverse + center_share * own)
+        for own, color in zip(images.color.here(), sums.color, strict=True)
+    ]
+    return Outcome(tuple(blurred), moves)
+
+
+def read_tile(
+    at: At, images: Images, scalars: Scalars, settings: GuertinSettings
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """Row and column of the tile that a pixel reads (pass 4)."""
+    if scalars.choice is not None:
+        return chosen_tile(at, scalars.choice, settings.radius, images.dominant)
+    if settings.tile_choice == "stochastic" and images.tile_noise is not None:
+        tau = lax.stop_gradient(scalars.parameters.tau)
+        noise = images.tile_noise.here()
+        return drawn_tile(at, (noise[0], noise[1]), tau, settings.radius, images.dominant)
+    return own_tile(at, settings.radius)
+
+
+def two_directions(
+    velocity: Vector,
+    inverse_speed: Float[Array, "*a"],
+    dominant: tuple[Array, ...],
+    gamma: float | Array,
+) -> tuple[Vector, Vector]:
+    """The two unit directions (pass 6): along the dominant velocity, and the center direction.
+
+    ``w_c = normalize((1 - a) w_p + a v / ||v||)``, ``a = clip((||v|| - 0.5) / gamma, 0, 1)``,
+    w_p the perpendicular of the dominant direction on the side of v.
+
+    Source: Guertin et al. 2014, eq. 3.1, with departure 2.
+
+    Args:
+        velocity: x and y of the pixel's own velocity, pixels.
+        inverse_speed: reciprocal of its floored norm, 1 / pixels.
+        dominant: x and y of the dominant velocity of the neighborhood, pixels.
+        gamma: speed in pixels over which the center direction turns, > 0.
+
+    Returns:
+        x and y of both; 0 where nothing moves.
+    """
+    along_x, along_y = safe_normalize(*dominant)
+    # Compared before normalizing: where v is the dominant velocity the two products are equal to
+    # the bit, and the side does not depend on rounding.
+    side = jnp.where(dominant[0] * velocity[1] < dominant[1] * velocity[0], -1, 1)
+    # Below the floor the share is 0, so that a vector that is too short there does no harm.
+    own_share = jnp.clip((1 / inverse_speed - SPEED_FLOOR) / gamma, 0, 1)
+    own_x, own_y = (part * inverse_speed for part in velocity)
+    center_x = own_share * own_x - (1 - own_share) * side * along_y
+    center_y = own_share * own_y + (1 - own_share) * side * along_x
+    # Two unit vectors on one side: their mix is no shorter than 0.7, or 0 where nothing moves.
+    squared = jnp.square(center_x) + jnp.square(center_y)
+    inverse = 1 / jnp.sqrt(jnp.where(squared == 0, 1, squared))
+    return (along_x, along_y), (center_x * inverse, center_y * inverse)
+
+
+def follows_center(
+    index: Int[Array, "*a"], settings: GuertinSettings, share: Float[Array, "*b"] | None
+) -> Bool[Array, "*c"]:
+    """Whether a sample follows w_c: every odd one, or the share of N, evenly interleaved.
+
+    Args:
+        index: of the sample, from 0.
+        settings: its directions and samples are used.
+        share: of the samples, 0 to 1 (pass 12); every odd one if None.
+
+    Returns:
+        True for those that do.
+    """
+    if settings.directions == "one":
+        return jnp.zeros_like(index, bool)
+    if share is None:
+        return lax.rem(index, jnp.asarray(2, index.dtype)) == 1
+    taps = jnp.round(share * settings.samples)
+    return jnp.floor((index + 1) * taps / settings.samples) > jnp.floor(
+        index * taps / settings.samples
     )
 
 
-def _cosine(first, second, scale=1.0):
-    """Cosine of the angle between two directions, without sign.
+def _cosine(
+    first: tuple[Array, ...], second: tuple[Array, ...] | list[Array], scale: float | Array = 1.0
+) -> Array:
+    """Cosine of the angle between two directions, without sign; 0 if they are perpendicular.
 
-    Where they are perpendicular but for rounding, as the second direction of a still pixel is to
-    all that moves with the dominant velocity, it is 0 and so is its derivative.
+    They are so but for rounding where a still pixel's second direction meets all that moves with
+    the dominant velocity; there the derivative is 0 too.
     """
     cosine = jnp.abs(first[0] * second[0] + first[1] * second[1]) * scale
     return jnp.where(cosine > PERPENDICULAR, cosine, 0)
 
 
-def _alignment(second, direction, sample, local):
-    """How well the pixel (wA) and the sample (wB) move along the direction of the tap."""
-    along_pixel = jnp.where(second, 1, _cosine(local["center"], local["along"]))
-    return along_pixel, _cosine((sample["x"], sample["y"]), direction, sample["inverse_speed"])
+# Pass 11
 
 
-def _sample(size, settings, index, local, tables):
-    """Weighted color, weight and count of a tap (passes 7 and 8)."""
-    count = local.get("count", settings.samples)
-    position = tap_position(index, count, local["jitter"])
-    second = follows_center(index, settings, local.get("share"))
-    direction = [
-        jnp.where(second, *pair) for pair in zip(local["center"], local["along"], strict=True)
-    ]
-    along = position * local["reach"]
-    texels = read_position(along * direction[0], along * direction[1], size, settings.border)
-    read = dict(zip(MOTION, read_row(tables["motion"], texels.index, len(MOTION)), strict=True))
-    alignment = (1, 1)
-    if settings.direction_weights == "on":
-        alignment = _alignment(second, direction, read, local)
-    weight = _weight(jnp.abs(along), *alignment, read, local)
-    counts = texels.counts & (index < count) if "count" in local else texels.counts
-    weight = jnp.where(counts, weight, 0)
-    colors = read_color(tables["color"], texels, size, settings.fetch)
-    one, zero = jnp.ones((), weight.dtype), jnp.zeros((), weight.dtype)
-    return (*(weight * color for color in colors), weight, jnp.where(counts, one, zero))
-
-
-def _own_motion(radius, local, *_):
-    """What is known of a pixel's motion, clamped to the radius."""
-    shorter = shortening(local["speed"], radius)
-    speed = jnp.minimum(local["speed"], radius)
-    x, y = (channel(local["velocity"], k) * shorter for k in range(2))
-    return [x, y, 1 / floored_speed(speed), finite_depth(local["depth"])]
-
-
-def _buffers(frame, speed, tiles, noise, parameters, settings):
-    """Local values and tables of the gather."""
-    planes = {"speed": speed[..., None], "depth": frame.depth[..., None]}
-    planes["velocity"] = frame.velocity
-    stages = everywhere(functools.partial(_own_motion, settings.radius))
-    motion = gather_samples(stages, 0, frame.velocity, planes, {}, settings.backend)
-    local = {
-        "motion": motion,
-        "color": frame.color,
-        "jitter": parameters.eta * parameters.phi / settings.samples,
-        "gamma": parameters.gamma,
-        "kappa": parameters.kappa,
-        "sharpness": parameters.depth_sharpness,
-    }
-    if noise is not None or settings.noise != "none":
-        noise = resolve_noise(noise, settings.noise, *frame.depth.shape)
-        local["noise"] = noise.tap.astype(frame.color.dtype)[..., None]
-        local["tile_noise"], local["tau"] = noise.tile, lax.stop_gradient(parameters.tau)
-    if settings.split == "variance":
-        share = sample_tiles(tile_variance(tiles), settings.radius, *frame.depth.shape)
-        local["share"] = share[..., None]
-    images = {"motion": motion, "dominant": tiles, "color": frame.color}
-    return local, {name: image.reshape(-1) for name, image in images.items()}
-
-
-def _read_dominant(settings, local, tables):
-    """Dominant velocity of the tile that a pixel reads (pass 4)."""
+def hint_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettings) -> Outcome:
+    """Pass 11: ``(x + y) & 1`` where the pixel may be blurred, its luma elsewhere."""
+    choices = [scalars.choice]
     if settings.tile_choice == "expected":
-        tile = local["tile"]
-    elif settings.tile_choice == "stochastic" and "noise" in local:
-        tile = stochastic_tile(local["tile_noise"], local["tau"], settings.radius)
+        choices = [jnp.float32(k) for k in range(3)]
+        chances = chances_of_tiles(at, scalars.parameters.tau, settings.radius, images.dominant)
     else:
-        tile = own_tile(local["motion"].shape, settings.radius)
-    return read_row(tables["dominant"], tile, 2)
+        chances = [jnp.float32(1)]
+    blurred = jnp.zeros((), bool)
+    for choice, chance in zip(choices, chances, strict=True):
+        tile = read_tile(at, images, scalars._replace(choice=choice), settings)
+        moves = safe_norm(*images.dominant.read(*tile)) > SPEED_FLOOR
+        blurred = blurred | (moves & (chance > 0))
+    color = images.color.here()
+    weights = REC709_LUMA if len(color) >= 3 else (1.0,)
+    luma = sum(w * c for w, c in zip(weights, color[: len(weights)], strict=True))
+    checker = ((at.row + at.column) % 2).astype(images.color.here()[0].dtype)
+    return Outcome((jnp.where(blurred, checker, luma),))
 
 
-def _is_moving(settings, local, tables):
-    """Whether anything moves where a pixel looks, and the dominant velocity there."""
-    dominant = _read_dominant(settings, local, tables)
-    reach = safe_norm(*dominant)
-    return reach > SPEED_FLOOR, (dominant, reach)
+# The filter
 
 
-def _prepare_pixel(settings, local, tables, found):
-    """Directions and reach of a pixel (passes 5 and 6); the rest of what its taps need."""
-    dominant, reach = found
-    motion = {name: channel(local["motion"], k) for k, name in enumerate(MOTION)}
-    velocity, inverse_speed = (motion["x"], motion["y"]), motion["inverse_speed"]
-    along, center = two_directions(velocity, inverse_speed, dominant, local["gamma"])
-    kept = ("sharpness", "kappa", "share")
-    needed = {name: local[name] for name in kept if name in local} | {
-        "inverse_speed": inverse_speed,
-        "depth": motion["depth"],
-        "along": along,
-        "center": center,
-        "reach": reach,
-        "jitter": local["noise"] * local["jitter"] if "noise" in local else jnp.zeros_like(reach),
-    }
-    return needed | path_samples(reach, settings)
-
-
-def _finish_pixel(sums, prepared, local):
-    """Mix of the color gathered and the pixel's own (passes 9 and 10)."""
-    *colors, weight, count = sums
-    center_weight = count * prepared["inverse_speed"] / prepared["kappa"]
-    sharp = (prepared["reach"] <= SPEED_FLOOR) | (count == 0)
-    inverse = 1 / jnp.where(sharp, 1, weight + center_weight)
-    share = center_weight * inverse
-    own = [channel(local["color"], k) for k in range(len(colors))]
-    return tuple(
-        jnp.where(sharp, mine, color * inverse + share * mine)
-        for color, mine in zip(colors, own, strict=True)
-    )
-
-
-def _reconstruct(frame, local, tables, settings):
-    """Gather along the two directions of every pixel, for one choice of tile (passes 4 to 10)."""
-    stages = Stages(
-        moving=functools.partial(_is_moving, settings),
-        prepare=functools.partial(_prepare_pixel, settings),
-        sample=functools.partial(_sample, frame.depth.shape, settings),
-        finish=_finish_pixel,
-        limit=sample_limit(settings),
-    )
-    return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
-
-
-def _checked(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, GuertinParameters]:
-    """Frame and parameters in one dtype."""
-    check_parameters(parameters, GuertinParameters)
-    frame = check_frame(frame)
-    return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-
-
-def prepare_frame(
-    frame: Frame, parameters: GuertinParameters, settings: GuertinSettings
-) -> tuple[Frame, GuertinParameters, jax.Array, jax.Array]:
-    """Check the inputs and find the dominant velocities (passes 1 to 3).
+def prepare_images(frame: Frame, settings: GuertinSettings, noise: Noise | None) -> Images:
+    """Passes 1 to 3 and 12: the images that passes 4 to 11 read.
 
     Args:
-        frame: as `guertin2014`.
-        parameters: as `guertin2014`.
-        settings: its radius and diagonal tiles are used.
+        frame: checked buffers without a mask.
+        settings: as `guertin2014`.
+        noise: as `guertin2014`.
 
     Returns:
-        Frame and parameters in one dtype, (H, W) speed in pixels, not clamped, and (TH, TW, 2)
-        dominant velocity of the neighborhood of each tile.
-
-    Raises:
-        ValueError: shapes disagree.
+        The images.
     """
-    frame, parameters = _checked(frame, parameters)
-    speed = safe_norm(frame.velocity[..., 0], frame.velocity[..., 1])
-    tiles = dominant_velocity(frame.velocity, speed, settings.radius, settings.diagonal_tiles)
-    return frame, parameters, speed, tiles
-
-
-def _blur_all(settings, frame, noise, parameters, _anything):
-    """The image for each choice of tile, (K, H, W, C)."""
-    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
-    local, tables = _buffers(frame, speed, tiles, noise, parameters, settings)
-    if settings.tile_choice != "expected":
-        return _reconstruct(frame, local, tables, settings)[None]
-    tau = jnp.asarray(parameters.tau)
-    indices, _ = reachable_tiles(frame.depth.shape, settings.radius, tau)
-    return lax.map(
-        lambda tile: _reconstruct(frame, local | {"tile": tile[..., None]}, tables, settings),
-        indices,
+    size, dtype = frame.depth.shape, frame.color.dtype
+    buffers = Buffers(Image(frame.velocity), Image(frame.depth))
+    motion = each_pixel(
+        clamp_motion, (size[0], size[1]), buffers, None, settings, backend=settings.backend
     )
+    tiles = dominant_velocity(frame.velocity, settings.radius, settings.diagonal_tiles)
+    images = Images(Image(frame.color), Image(motion), Image(tiles), None, None, None)
+    if noise is not None or settings.noise != "none":
+        noise = resolve_noise(noise, settings.noise, size[0], size[1])
+        images = images._replace(
+            tap_noise=Image(noise.tap.astype(dtype)), tile_noise=Image(noise.tile)
+        )
+    if settings.split == "variance":
+        images = images._replace(variance=Image(tile_variance(tiles)))
+    return images
 
 
-def _keep(count, frame, *others):
+def _blur(
+    settings: GuertinSettings,
+    frame: Frame,
+    noise: Noise | None,
+    parameters: GuertinParameters,
+    _: Array,
+) -> Float[Array, "choices height width channels"]:
+    """The image for each choice of tile."""
+    images = prepare_images(frame, settings, noise)
+    height, width = frame.depth.shape
+
+    def of_choice(choice: Array | None) -> jax.Array:
+        scalars = Scalars(parameters, choice)
+        return each_pixel(
+            *(blur_pixel, (height, width), images, scalars, settings),
+            kept=frame.color,
+            backend=settings.backend,
+        )
+
+    if settings.tile_choice != "expected":
+        return of_choice(None)[None]
+    return lax.map(of_choice, jnp.arange(3, dtype=frame.color.dtype))
+
+
+def _keep(count: int, frame: Frame, *others: Array) -> jax.Array:
     """The same where nothing moves."""
     color = unchanged(frame.color, others[-1])
     return jnp.broadcast_to(color, (count, *color.shape))
 
 
+def checked_inputs(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, GuertinParameters]:
+    """Frame and parameters in one dtype.
+
+    Args:
+        frame: as `guertin2014`.
+        parameters: as `guertin2014`.
+
+    Returns:
+        The same as floating-point arrays.
+
+    Raises:
+        ValueError: shapes disagree, or a parameter is not a scalar.
+    """
+    check_parameters(parameters, GuertinParameters)
+    frame = check_frame(frame)
+    return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+
+
 @functools.partial(jax.jit, static_argnames=("settings",))
+def _outcomes(
+    frame: Frame,
+    parameters: GuertinParameters,
+    noise: Noise | None,
+    settings: GuertinSettings,
+) -> tuple[jax.Array, jax.Array]:
+    masked = frame.valid is not None
+    frame = append_mask(frame) if masked else frame
+    frame, parameters = checked_inputs(frame, parameters)
+    (height, width), radius = frame.depth.shape, settings.radius
+    moves = anything_moves(frame.velocity)
+    if settings.tile_choice == "expected":
+        at = At(jnp.arange(height)[:, None], jnp.arange(width)[None])
+        tiles = -(-height // radius), -(-width // radius)
+        chances = chances_of_tiles(at, parameters.tau, radius, tiles)
+        chances = jnp.stack([jnp.broadcast_to(chance, (height, width)) for chance in chances])
+    else:
+        chances = jnp.ones((1, height, width), frame.color.dtype)
+    colors = cond_of_values(
+        *(moves, functools.partial(_blur, settings), functools.partial(_keep, len(chances))),
+        (frame, noise, parameters, moves),
+    )
+    return (divide_by_mask(colors) if masked else colors), chances
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def _mean(
+    frame: Frame,
+    parameters: GuertinParameters,
+    noise: Noise | None,
+    settings: GuertinSettings,
+) -> jax.Array:
+    colors, chances = _outcomes(frame, parameters, noise, settings)
+    # As differences from the own tile, so that pixels that nothing reaches keep their bits.
+    own = colors[0]
+    if len(colors) == 1:
+        return own
+    return own + jnp.sum(chances[1:, ..., None] * (colors[1:] - own), axis=0)
+
+
 def guertin2014(
     frame: Frame,
     parameters: GuertinParameters,
@@ -260,9 +435,9 @@ def guertin2014(
 ) -> jax.Array:
     """Blur along two directions with feature-aware weights.
 
-    Half of the taps follow the dominant velocity of the neighborhood, half the pixel's own
+    Half of the samples follow the dominant velocity of the neighborhood, half the pixel's own
     velocity (or the perpendicular of the dominant one where the pixel is still), all with reach
-    ``||vmax||``. The weight of a tap is
+    ``||vmax||``. The weight of a sample is
 
     ``f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)``
 
@@ -273,27 +448,27 @@ def guertin2014(
     Args:
         frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels.
         parameters: kappa, gamma, tau, eta, phi, depth_sharpness.
-        settings: samples, radius, border, fetch, tile choice, split and noise.
+        settings: `jaxblur.GuertinSettings`, or `jaxblur.Settings` for its own choices as published.
         noise: replaces the built-in noise.
 
     Returns:
         (H, W, C) blurred color, within the range of the colors gathered; pixels whose
         neighborhood moves by half a pixel or less are returned bit for bit. Differentiable in
-        every input; tau needs ``tile_choice="expected"``; gamma, phi and velocity move the taps,
+        every input; tau needs ``tile_choice="expected"``; gamma, phi and velocity move the samples,
         which changes the colors that are read under ``fetch="bilinear"`` only.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: shapes disagree, a parameter is not a scalar, or the settings are those of
+            another filter.
     """
-    colors, chances = tile_outcomes(frame, parameters, settings=settings, noise=noise)
-    # As differences from the own tile, so that pixels that nothing reaches keep their bits.
-    own = colors[0]
-    if len(colors) == 1:
-        return own
-    return own + jnp.sum(chances[1:, ..., None] * (colors[1:] - own), axis=0)
+    return _mean(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
+    )
 
 
-@functools.partial(jax.jit, static_argnames=("settings",))
 def tile_outcomes(
     frame: Frame,
     parameters: GuertinParameters,
@@ -301,11 +476,11 @@ def tile_outcomes(
     settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """What `guertin2014` gives for each choice of tile, and how probable each choice is.
+    """The result of `guertin2014` for each choice of tile, and the probability of each choice.
 
     With ``tile_choice="expected"`` these are all outcomes of ``stochastic``, so that any
-    expectation over the tile jitter can be had exactly: the mean image is ``sum_k P_k c_k``, the
-    expected squared error ``sum_k P_k |c_k - truth|^2``. Otherwise there is one outcome.
+    expectation over the tile jitter can be computed exactly: the mean image is ``sum_k P_k c_k``,
+    the expected squared error ``sum_k P_k |c_k - truth|^2``. Otherwise there is one outcome.
 
     Args:
         frame: as `guertin2014`.
@@ -318,27 +493,16 @@ def tile_outcomes(
         ``expected`` (own tile, neighbor along x, neighbor along y), else 1.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: as `guertin2014`.
     """
-    settings = checked_settings(settings, GuertinSettings, "guertin2014")
-    masked = frame.valid is not None
-    frame = append_mask(frame) if masked else frame
-    frame, parameters = _checked(frame, parameters)
-    anything = anything_moves(frame.velocity)
-
-    if settings.tile_choice == "expected":
-        tau = jnp.asarray(parameters.tau)
-        _, chances = reachable_tiles(frame.depth.shape, settings.radius, tau)
-    else:
-        chances = jnp.ones((1, *frame.depth.shape), frame.color.dtype)
-    colors = cond_of_values(
-        *(anything, functools.partial(_blur_all, settings), functools.partial(_keep, len(chances))),
-        (frame, noise, parameters, anything),
+    return _outcomes(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
     )
-    return (divide_by_mask(colors) if masked else colors), chances
 
 
-@functools.partial(jax.jit, static_argnames=("settings",))
 def luma_hint(
     frame: Frame,
     parameters: GuertinParameters,
@@ -346,10 +510,10 @@ def luma_hint(
     settings: Settings = GuertinSettings(),
     noise: Noise | None = None,
 ) -> jax.Array:
-    """Luma plane for FXAA that marks every blurred pixel as an edge.
+    """Luma plane for FXAA that marks every blurred pixel as an edge (pass 11).
 
     ``(x + y) & 1`` where `guertin2014` blurs, the luma of the color elsewhere: the antialiasing
-    then smooths what noise the taps left, and nothing else.
+    then smooths the noise that the samples left, and nothing else.
 
     Source: Guertin et al. 2014, section 3.4.5; luma is that of Rec. 709, or the first channel of
     an image with fewer than three.
@@ -364,16 +528,27 @@ def luma_hint(
         (H, W): 0 or 1 at blurred pixels, linear luma elsewhere.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: as `guertin2014`.
     """
-    settings = checked_settings(settings, GuertinSettings, "guertin2014")
-    frame, parameters, _, tiles = prepare_frame(frame, parameters, settings)
+    return _hint(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("settings",))
+def _hint(
+    frame: Frame,
+    parameters: GuertinParameters,
+    noise: Noise | None,
+    settings: GuertinSettings,
+) -> jax.Array:
+    frame, parameters = checked_inputs(frame, parameters)
     height, width = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
-    indices, chances = tile_choices((height, width), jnp.asarray(parameters.tau), settings, noise)
-    reach = safe_norm(tiles[..., 0], tiles[..., 1]).reshape(-1)[indices]
-    blurred = jnp.any((reach > SPEED_FLOOR) & (chances > 0), axis=0)
-    checker = (jnp.arange(height)[:, None] + jnp.arange(width)) % 2
-    weights = jnp.asarray(REC709_LUMA if frame.color.shape[-1] >= 3 else (1.0,), frame.color.dtype)
-    luma = jnp.sum(frame.color[..., : len(weights)] * weights, axis=-1)
-    return jnp.where(blurred, checker.astype(luma.dtype), luma)
+    images, scalars = prepare_images(frame, settings, noise), Scalars(parameters, None)
+    hint = each_pixel(
+        hint_pixel, (height, width), images, scalars, settings, backend=settings.backend
+    )
+    return hint[..., 0]

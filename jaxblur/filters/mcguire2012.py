@@ -1,27 +1,20 @@
 """A Reconstruction Filter for Plausible Motion Blur [McGuire, Hennessy, Bukowski, Osman 2012]."""
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from ..frame import Frame, check_frame, check_parameters
-from ..gathers import gather_samples
-from ..native import Stages
+from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
-from ..sampling import (
-    channel,
-    path_samples,
-    read_color,
-    read_position,
-    read_row,
-    sample_limit,
-    tap_position,
-)
 from ..settings import Settings, checked_settings
-from ..tiles import clamp_speed, dominant_velocity, own_tile
-from ..weights import (
+from ._masking import honoring_mask
+from ._sampling import find_texel, path_samples, read_color, tap_position
+from ._weights import (
     SPEED_FLOOR,
     absolute_closeness,
     cone,
@@ -29,73 +22,136 @@ from ..weights import (
     finite_depth,
     floored_speed,
 )
-from .masking import honoring_mask
-from .parameters import McGuireParameters as McGuireParameters
+from .builtin import needs_odd_samples
+from .parameters import McGuireParameters
+from .tiles import dominant_velocity, own_tile
 
 jax.tree_util.register_dataclass(McGuireParameters)
 
 
-def _sample(size, settings, index, local, tables):
-    """Weighted color and weight of a tap [listing 1]."""
-    count = local.get("count", settings.samples)
-    exists = index < count - 1
-    # The tap at the pixel itself is left out; the center weight stands for it.
-    index = jnp.where(2 * index >= count - 1, index + 1, index)
-    position = tap_position(index, count, local["jitter"])
-    offset_x, offset_y = (position * step for step in local["dominant"])
-    texels = read_position(offset_x, offset_y, size, settings.border)
-    if settings.fetch == "nearest":
-        offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
-    distance = safe_norm(offset_x, offset_y)
-    depth, inverse_speed = local["depth"], local["inverse_speed"]
-    inverse_sample, depth_sample = read_row(tables["motion"], texels.index, 2)
-    in_front, behind = absolute_closeness(depth_sample, depth, local["soft_z_extent"])
-    both = cylinder(distance, inverse_sample) * cylinder(distance, inverse_speed)
-    weight = (
-        in_front * cone(distance, inverse_sample)
-        + behind * cone(distance, inverse_speed)
-        + 2 * both
-    )
-    weight = jnp.where(texels.counts & exists, weight, 0)
-    colors = read_color(tables["color"], texels, size, settings.fetch)
-    return (*(weight * color for color in colors), weight)
+class Motion(NamedTuple):
+    """The motion of a pixel, the channels of one image.
+
+    Attributes:
+        inverse_speed: ``1 / |V|_f``, 1 / pixels.
+        depth: scene units, finite.
+    """
+
+    inverse_speed: Float[Array, "*a"]
+    depth: Float[Array, "*a"]
 
 
-def _is_moving(settings, local, tables):
-    """Whether anything moves in the neighborhood, and the dominant velocity there."""
-    tile = own_tile(local["motion"].shape, settings.radius)
-    dominant = read_row(tables["dominant"], tile, 2)
+class Buffers(NamedTuple):
+    """Images of pass 1."""
+
+    velocity: Image
+    depth: Image
+
+
+class Images(NamedTuple):
+    """Images of the gather.
+
+    Attributes:
+        color: (H, W, C).
+        motion: (H, W, 2), see `Motion`.
+        dominant: (tile rows, tile columns, 2) dominant velocity of each tile's neighborhood.
+        noise: (H, W, 1) in [-1, 1).
+    """
+
+    color: Image
+    motion: Image
+    dominant: Image
+    noise: Image
+
+
+class Sums(NamedTuple):
+    """Sums over the samples of a pixel."""
+
+    color: tuple[Array, ...]
+    weight: Array
+
+
+def clamp_motion(at: At, images: Buffers, _: None, settings: Settings) -> Outcome:
+    """Pass 1: the speed of a pixel, clamped to the radius, and its depth."""
+    (depth,) = images.depth.here()
+    speed = jnp.minimum(safe_norm(*images.velocity.here()), settings.radius)
+    return Outcome(Motion(1 / floored_speed(speed), finite_depth(depth)))
+
+
+def blur_pixel(
+    at: At, images: Images, parameters: McGuireParameters, settings: Settings
+) -> Outcome:
+    """The gather of listing 1."""
+    pixel = Motion(*images.motion.here())
+    dominant = images.dominant.read(*own_tile(at, settings.radius))
     reach = safe_norm(*dominant)
-    return reach > SPEED_FLOOR, (dominant, reach)
 
+    limit = path_samples(reach, settings)
+    count = settings.samples if limit is None else limit
+    (noise,) = images.noise.here()
+    jitter = noise / 2
 
-def _prepare(settings, local, tables, found):
-    """What the taps of a pixel need."""
-    dominant, reach = found
-    needed = {
-        "dominant": dominant,
-        "inverse_speed": channel(local["motion"], 0),
-        "depth": channel(local["motion"], 1),
-        "jitter": local["noise"] / 2,
-        "soft_z_extent": local["soft_z_extent"],
-    }
-    return needed | path_samples(reach, settings)
+    def sample(i: Int[Array, ""]) -> Sums:
+        exists = i < count - 1
+        # The sample at the pixel itself is left out; the center weight stands for it.
+        i = jnp.where(2 * i >= count - 1, i + 1, i)
+        position = tap_position(i, count, jitter)
+        offset_x, offset_y = (position * step for step in dominant)
+        texel = find_texel(at, offset_x, offset_y, images.color, settings.border)
+        if settings.fetch == "nearest":
+            offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
+        distance = safe_norm(offset_x, offset_y)
+        other = Motion(*images.motion.read_texel(texel.index))
 
+        # f cone(|V[Y]|) + b cone(|V[X]|) + 2 cylinder(|V[Y]|) cylinder(|V[X]|)
+        front, back = absolute_closeness(other.depth, pixel.depth, parameters.soft_z_extent)
+        both = cylinder(distance, other.inverse_speed) * cylinder(distance, pixel.inverse_speed)
+        weight = (
+            front * cone(distance, other.inverse_speed)
+            + back * cone(distance, pixel.inverse_speed)
+            + 2 * both
+        )
+        weight = jnp.where(texel.counts & exists, weight, 0)
+        colors = read_color(images.color, texel, settings.fetch)
+        return Sums(tuple(weight * color for color in colors), weight)
 
-def _finish(settings, sums, prepared, local):
-    """The weighted mean; the pixel itself weighs more where fewer taps stand for a path."""
-    *colors, weight = sums
-    share = prepared.get("count", settings.samples) / settings.samples
-    center_weight = prepared["inverse_speed"] * share
-    total = weight + center_weight
-    return tuple(
-        (color + center_weight * channel(local["color"], k)) / total
-        for k, color in enumerate(colors)
-    )
+    sums = sum_over(settings.samples - 1, sample, limit)
+
+    # The pixel itself weighs 1 / |V[X]|_f, less where fewer samples stand for the path.
+    share = 1.0 if limit is None else limit / settings.samples
+    center_weight = pixel.inverse_speed * share
+    total = sums.weight + center_weight
+    blurred = [
+        (color + center_weight * own) / total
+        for own, color in zip(images.color.here(), sums.color, strict=True)
+    ]
+    return Outcome(tuple(blurred), reach > SPEED_FLOOR)
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
 @honoring_mask
+def _blur(
+    frame: Frame, parameters: McGuireParameters, noise: Noise | None, settings: Settings
+) -> jax.Array:
+    check_parameters(parameters, McGuireParameters)
+    frame = check_frame(frame)
+    dtype = frame.color.dtype
+    parameters = jax.tree.map(lambda p: jnp.asarray(p, dtype), parameters)
+    height, width = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, height, width)
+    run = functools.partial(each_pixel, size=(height, width), backend=settings.backend)
+    buffers = Buffers(Image(frame.velocity), Image(frame.depth))
+    images = Images(
+        color=Image(frame.color),
+        motion=Image(run(clamp_motion, images=buffers, settings=settings)),
+        dominant=Image(dominant_velocity(frame.velocity, settings.radius, "all")),
+        noise=Image(noise.tap.astype(dtype)),
+    )
+    return run(
+        blur_pixel, images=images, parameters=parameters, settings=settings, kept=frame.color
+    )
+
+
 def mcguire2012(
     frame: Frame,
     parameters: McGuireParameters,
@@ -105,9 +161,9 @@ def mcguire2012(
 ) -> jax.Array:
     """Blur along the dominant velocity of the neighborhood.
 
-    ``alpha_Y = f cone(|V[Y]|) + b cone(|V[X]|) + 2 cylinder(|V[Y]|) cylinder(|V[X]|)`` at taps
+    ``alpha_Y = f cone(|V[Y]|) + b cone(|V[X]|) + 2 cylinder(|V[Y]|) cylinder(|V[X]|)`` at samples
     ``Y = floor(X + t v_N + 1/2)``; the pixel itself weighs ``1 / |V[X]|_f``. Distances are those
-    of the rounded taps; under bilinear fetch taps are not rounded and neither are distances.
+    of the rounded samples; under bilinear fetch neither samples nor distances are rounded.
 
     Source: McGuire et al. 2012, listing 1 and figure 4; departure 6 (speeds are floored at half
     a pixel). The jitter is uniform in half a spacing to either side: ``noise.tap / 2``.
@@ -115,8 +171,8 @@ def mcguire2012(
     Args:
         frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels.
         parameters: the extent of the soft depth comparison.
-        settings: samples (odd), radius, spacing, border, fetch and noise; tile choice and split
-            do not apply, a pixel reads its own tile.
+        settings: samples (odd), radius, spacing, border, fetch, noise and backend; a pixel reads
+            its own tile.
         noise: replaces the built-in noise; only ``tap`` is used.
 
     Returns:
@@ -125,35 +181,9 @@ def mcguire2012(
         color, depth, velocity and the extent.
 
     Raises:
-        ValueError: shapes disagree, or the number of samples is even.
+        ValueError: shapes disagree, the number of samples is even, the extent is not a scalar, or
+            the settings are those of another filter.
     """
     settings = checked_settings(settings, Settings, "mcguire2012")
-    if settings.samples % 2 == 0:
-        raise ValueError(
-            f"`settings.samples` must be odd for mcguire2012, got {settings.samples}; "
-            f"use {settings.samples + 1}."
-        )
-    check_parameters(parameters, McGuireParameters)
-    frame = check_frame(frame)
-    height, width = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
-    velocity, speed = clamp_speed(frame.velocity, settings.radius)
-    dominant = dominant_velocity(velocity, speed, settings.radius, "all")
-    motion = jnp.stack([1 / floored_speed(speed), finite_depth(frame.depth)], axis=-1)
-    local = {
-        "motion": motion,
-        "noise": noise.tap.astype(frame.color.dtype)[..., None],
-        "soft_z_extent": jnp.asarray(parameters.soft_z_extent, frame.color.dtype),
-        "color": frame.color,
-    }
-    images = {"motion": motion, "dominant": dominant, "color": frame.color}
-    tables = {name: image.reshape(-1) for name, image in images.items()}
-    stages = Stages(
-        moving=functools.partial(_is_moving, settings),
-        prepare=functools.partial(_prepare, settings),
-        sample=functools.partial(_sample, (height, width), settings),
-        finish=functools.partial(_finish, settings),
-        limit=sample_limit(settings),
-    )
-    taps = settings.samples - 1
-    return gather_samples(stages, taps, frame.color, local, tables, settings.backend)
+    needs_odd_samples(settings)
+    return _blur(frame, parameters, noise, settings=settings)

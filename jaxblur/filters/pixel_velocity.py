@@ -1,59 +1,86 @@
 """The gather along each pixel's own velocity, without dilation: the baseline."""
 
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
 from ..frame import Frame, check_frame
-from ..gathers import gather_samples
-from ..native import Stages
+from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
-from ..safe_math import safe_norm
-from ..sampling import channel, path_samples, read_color, read_position, sample_limit, tap_position
+from ..safe_math import clamp_speed, safe_norm
 from ..settings import Settings, checked_settings
-from ..tiles import clamp_speed
-from ..weights import SPEED_FLOOR
-from .masking import honoring_mask
+from ._masking import honoring_mask
+from ._sampling import find_texel, path_samples, read_color, tap_position
+from ._weights import SPEED_FLOOR
 
 
-def _is_moving(local, tables):
-    """Whether the pixel itself moves."""
-    velocity = [channel(local["velocity"], axis) for axis in (0, 1)]
-    speed = safe_norm(*velocity)
-    return speed > SPEED_FLOOR, (velocity, speed)
+class Images(NamedTuple):
+    """Images that the program reads.
+
+    Attributes:
+        color: (H, W, C).
+        velocity: (H, W, 2), clamped to the radius.
+        noise: (H, W, 1) in [-1, 1).
+    """
+
+    color: Image
+    velocity: Image
+    noise: Image
 
 
-def _prepare(settings, local, tables, found):
-    """What the taps of a pixel need."""
-    velocity, speed = found
-    needed = {"velocity": velocity, "jitter": local["noise"] / 2}
-    return needed | path_samples(speed, settings)
+class Sums(NamedTuple):
+    """Sums over the samples of a pixel."""
+
+    color: tuple[Array, ...]
+    count: Array
 
 
-def _sample(size, settings, index, local, tables):
-    """Color of a tap on the pixel's own path, and 1 where it counts."""
-    count = local.get("count", settings.samples)
-    position = tap_position(index, count, local["jitter"])
-    velocity_x, velocity_y = local["velocity"]
-    texels = read_position(position * velocity_x, position * velocity_y, size, settings.border)
-    colors = read_color(tables["color"], texels, size, settings.fetch)
-    counts = (texels.counts & (index < count)).astype(position.dtype)
-    return (*(counts * color for color in colors), counts)
+def blur_pixel(at: At, images: Images, _: None, settings: Settings) -> Outcome:
+    """The mean of the samples on ``p - v .. p + v``."""
+    velocity_x, velocity_y = images.velocity.here()
+    speed = safe_norm(velocity_x, velocity_y)
+    limit = path_samples(speed, settings)
+    count = settings.samples if limit is None else limit
+    (noise,) = images.noise.here()
+    jitter = noise / 2
 
+    def sample(i: Int[Array, ""]) -> Sums:
+        position = tap_position(i, count, jitter)
+        texel = find_texel(
+            *(at, position * velocity_x, position * velocity_y, images.color, settings.border)
+        )
+        counts = (texel.counts & (i < count)).astype(position.dtype)
+        colors = read_color(images.color, texel, settings.fetch)
+        return Sums(tuple(counts * color for color in colors), counts)
 
-def _finish(sums, prepared, local):
-    """The mean of the taps that count."""
-    *colors, count = sums
-    total = jnp.maximum(count, 1)
-    return tuple(
-        jnp.where(count > 0, color / total, channel(local["color"], k))
-        for k, color in enumerate(colors)
-    )
+    sums = sum_over(settings.samples, sample, limit)
+    total = jnp.maximum(sums.count, 1)
+    blurred = [
+        jnp.where(sums.count > 0, color / total, own)
+        for own, color in zip(images.color.here(), sums.color, strict=True)
+    ]
+    return Outcome(tuple(blurred), speed > SPEED_FLOOR)
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
 @honoring_mask
+def _blur(frame: Frame, noise: Noise | None, settings: Settings) -> jax.Array:
+    frame = check_frame(frame)
+    height, width = frame.depth.shape
+    noise = resolve_noise(noise, settings.noise, height, width)
+    velocity, _ = clamp_speed(frame.velocity, settings.radius)
+    tap_noise = Image(noise.tap.astype(frame.color.dtype))
+    images = Images(Image(frame.color), Image(velocity), tap_noise)
+    return each_pixel(
+        *(blur_pixel, (height, width), images, None, settings),
+        kept=frame.color,
+        backend=settings.backend,
+    )
+
+
 def pixel_velocity(
     frame: Frame,
     parameters: None = None,
@@ -61,19 +88,19 @@ def pixel_velocity(
     settings: Settings = Settings(),
     noise: Noise | None = None,
 ) -> jax.Array:
-    """Blur along the velocity of the pixel itself: the mean of the taps on ``p - v .. p + v``.
+    """Blur along the velocity of the pixel itself: the mean of the samples on ``p - v .. p + v``.
 
     The simplest screen-space motion blur, kept as the baseline: silhouettes of moving objects
-    stay sharp, and what lies in front of them smears into them.
+    stay sharp, and objects in front of them smear into them.
 
     Source: Rosado, Motion Blur as a Post-Processing Effect, GPU Gems 3, chapter 27, 2007; the
-    taps are those of McGuire et al. 2012, jittered by half a spacing.
+    samples are those of McGuire et al. 2012, jittered by half a spacing.
 
     Args:
         frame: color (H, W, C), depth (H, W) (not used) and velocity (H, W, 2) in pixels.
         parameters: None; there is nothing to set.
-        settings: samples, radius (longest half-spread), border, fetch and noise.
-        noise: replaces the built-in noise.
+        settings: samples, radius (longest half-spread), spacing, border, fetch, noise and backend.
+        noise: replaces the built-in noise; only ``tap`` is used.
 
     Returns:
         (H, W, C) blurred color, within the range of the input; pixels that move by half a pixel
@@ -81,24 +108,6 @@ def pixel_velocity(
         velocity.
 
     Raises:
-        ValueError: shapes disagree.
+        ValueError: shapes disagree, or the settings are those of another filter.
     """
-    settings = checked_settings(settings, Settings, "pixel_velocity")
-    frame = check_frame(frame)
-    height, width = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
-    velocity, _ = clamp_speed(frame.velocity, settings.radius)
-    local = {
-        "velocity": velocity,
-        "noise": noise.tap.astype(frame.color.dtype)[..., None],
-        "color": frame.color,
-    }
-    stages = Stages(
-        moving=_is_moving,
-        prepare=functools.partial(_prepare, settings),
-        sample=functools.partial(_sample, (height, width), settings),
-        finish=_finish,
-        limit=sample_limit(settings),
-    )
-    tables = {"color": frame.color.reshape(-1)}
-    return gather_samples(stages, settings.samples, frame.color, local, tables, settings.backend)
+    return _blur(frame, noise, settings=checked_settings(settings, Settings, "pixel_velocity"))

@@ -8,14 +8,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..frame import Frame
-from ..noise import Noise, resolve_noise
+from ..kernels import At
+from ..noise import Noise
 from ..safe_math import safe_norm
-from ..sampling import tap_position
 from ..settings import GuertinSettings, Settings, checked_settings
-from ..tiles import clamp_speed, sample_tiles, tile_variance
-from ..weights import floored_speed
-from .guertin2014 import GuertinParameters, prepare_frame
-from .two_directions import follows_center, tile_choices, two_directions
+from ._sampling import tap_position
+from .guertin2014 import (
+    GuertinParameters,
+    Motion,
+    Scalars,
+    checked_inputs,
+    follows_center,
+    prepare_images,
+    read_tile,
+    two_directions,
+)
+from .tiles import chances_of_tiles, read_between_tiles
 
 
 class Taps(NamedTuple):
@@ -83,26 +91,37 @@ def _taps_at(
     noise: Noise | None,
 ) -> Taps:
     """Compiled once for all pixels of frames of one size."""
-    height, width = frame.depth.shape
-    frame, parameters, speed, tiles = prepare_frame(frame, parameters, settings)
-    noise = resolve_noise(noise, settings.noise, height, width)
-    velocity, speed = clamp_speed(frame.velocity, settings.radius, speed)
-    indices, chances = tile_choices((height, width), jnp.asarray(parameters.tau), settings, noise)
-    dominant = tiles.reshape(-1, 2)[indices[:, row, column]]
-    own = (velocity[row, column, 0], velocity[row, column, 1])
-    inverse_speed = 1 / floored_speed(speed[row, column])
-    along, center = jax.vmap(
-        lambda vector: two_directions(own, inverse_speed, tuple(vector), parameters.gamma)
-    )(dominant)
+    frame, parameters = checked_inputs(frame, parameters)
+    images = prepare_images(frame, settings, noise)
+    at, count = At(row, column), settings.samples
+    pixel = Motion(*images.motion.read(row, column))
+    jitter = jnp.zeros_like(pixel.x)
+    if images.tap_noise is not None and images.tile_noise is not None:
+        (tap_noise,) = images.tap_noise.read(row, column)
+        jitter = tap_noise * (parameters.eta * parameters.phi / count)
+        images = images._replace(tile_noise=images.tile_noise.at(at))
     share = None
-    if settings.split == "variance":
-        share = sample_tiles(tile_variance(tiles), settings.radius, height, width)[row, column]
-    index = jnp.arange(settings.samples)
+    if images.variance is not None:
+        (share,) = read_between_tiles(at, images.variance, settings.radius)
+    index = jnp.arange(count)
     second = follows_center(index, settings, share)
-    jitter = noise.tap[row, column] * parameters.eta * parameters.phi / settings.samples
-    position = tap_position(index, settings.samples, jitter)
-    along, center = (jnp.stack(direction, axis=-1) for direction in (along, center))
-    reach = safe_norm(dominant[:, 0], dominant[:, 1])
-    direction = jnp.where(second[None, :, None], center[:, None], along[:, None])
-    offset = (reach[:, None] * position)[..., None] * direction
-    return Taps(offset, second, dominant, along, center, chances[:, row, column])
+    choices: list[jax.Array | None] = [None]
+    chances: tuple[jax.Array, ...] = (jnp.ones(()),)
+    if settings.tile_choice == "expected":
+        choices = [jnp.float32(k) for k in range(3)]
+        chances = chances_of_tiles(at, parameters.tau, settings.radius, images.dominant)
+
+    def of_choice(choice: jax.Array | None) -> tuple[jax.Array, ...]:
+        tile = read_tile(at, images, Scalars(parameters, choice), settings)
+        dominant = images.dominant.read(*tile)
+        directions = two_directions(
+            (pixel.x, pixel.y), pixel.inverse_speed, dominant, parameters.gamma
+        )
+        along, center = (jnp.stack(direction) for direction in directions)
+        position = tap_position(index, count, jitter) * safe_norm(*dominant)
+        offset = position[:, None] * jnp.where(second[:, None], center, along)
+        return offset, jnp.stack(dominant), along, center
+
+    found = zip(*map(of_choice, choices), strict=True)
+    offset, dominant, along, center = (jnp.stack(parts) for parts in found)
+    return Taps(offset, second, dominant, along, center, jnp.stack(chances))

@@ -1,7 +1,7 @@
-"""Results on disk, and the page that shows them: one HTML file that needs no network.
+"""Result folders on disk, and the report page: one HTML file that needs no network.
 
-`write_result` is the one way in which commands and experiments leave pictures with their scores;
-`read_result` and `build_page` make the page of ``jaxblur report`` from such a folder.
+Commands and experiments store pictures with their scores through `write_result`; `read_result` and
+`build_page` make the page of ``jaxblur report`` from such a folder.
 """
 
 from .page import Page as Page, build_page as build_page

@@ -1,4 +1,4 @@
-"""One HTML file from a result: templates filled in, pictures embedded, size kept in bounds."""
+"""One HTML file from a result: templates filled in, pictures embedded, file size limited."""
 
 import base64
 import hashlib
@@ -18,7 +18,7 @@ ATTEMPTS = 12
 
 
 class Page(NamedTuple):
-    """The page and what the reader of a log should know about it.
+    """The page, and warnings about it for the log.
 
     Attributes:
         html: the whole file.
@@ -38,19 +38,19 @@ class Window(NamedTuple):
     width: int
 
     def of(self, image: np.ndarray) -> np.ndarray:
-        """Cut it out of an image."""
+        """Cut this window out of an image."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 def build_page(result: Result, max_megabytes: float = 20.0) -> Page:
     """Make the page.
 
-    If the pictures would take more room than is allowed, each shot is cropped around its largest
-    error, all of its pictures alike; page and warnings say so.
+    If the file would exceed the limit, each shot is cropped around its largest error, in the same
+    way for all of its pictures; the page and the warnings report it.
 
     Args:
-        result: from `read_result`.
-        max_megabytes: largest size of the file.
+        result: result from `read_result`.
+        max_megabytes: largest file size allowed.
 
     Returns:
         HTML and warnings.
@@ -77,7 +77,7 @@ def build_page(result: Result, max_megabytes: float = 20.0) -> Page:
 
 
 def _window(shot: Shot, share: float) -> Window:
-    """A window with this share of a shot's pixels around the largest error."""
+    """Place a window with this share of a shot's pixels where the error is largest."""
     height, width = shot.truth.shape[:2]
     if share >= 1:
         return Window(0, 0, height, width)
@@ -133,7 +133,7 @@ def _render(result: Result, windows: Sequence[Window]) -> str:
 
 
 def _template(name: str) -> Any:
-    """A file of this package that goes into the page as it is."""
+    """Read a template file that is inserted into the page unchanged."""
     from markupsafe import Markup
 
     folder = importlib.resources.files("jaxblur.report") / "templates"
@@ -141,12 +141,12 @@ def _template(name: str) -> Any:
 
 
 def _integrity(text: str) -> str:
-    """What the content security policy lets run: this text and no other."""
+    """Hash a script or style, so that the content security policy allows it and no other."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode()
 
 
 def _as_json(content: Any) -> Any:
-    """JSON that cannot end the script element it stands in."""
+    """Encode as JSON that cannot close the script element around it."""
     from markupsafe import Markup
 
     text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
@@ -196,5 +196,5 @@ def _encoded(image: Any, window: Window) -> dict[str, str]:
 
 
 def _finite(value: float) -> float | None:
-    """A point of the plot, or None: JSON has no infinity."""
+    """Return a finite value, or None for others, because JSON has no infinity."""
     return value if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""PNG in memory, without any tag about color: a browser then gives back the values as they are."""
+"""PNG in memory, without color tags, so that browsers return the stored values unchanged."""
 
 import base64
 import struct
@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GRAY, RGB = 0, 2
 UP = 2
-"""Filter: the difference to the row above."""
+"""PNG filter: the difference from the row above."""
 
 LARGEST_EXPONENT = 255 - 128
 
@@ -54,10 +54,10 @@ def data_uri(pixels: UInt8[np.ndarray, "height width *channels"]) -> str:
 def shared_exponent(
     image: Float[np.ndarray, "height width 3"],
 ) -> tuple[UInt8[np.ndarray, "height width 3"], UInt8[np.ndarray, "height width"]]:
-    """Linear light as 8-bit mantissas and one exponent a pixel (RGBE).
+    """Encode linear light as 8-bit mantissas with one exponent per pixel (RGBE).
 
     ``value = mantissa * 2^(exponent - 136)``, within 1/2 step, which is at most 0.4 % of the
-    largest of the three values. What is below 0 becomes 0.
+    largest of the three values. Negative values become 0.
 
     Source: Ward 1991, "Real pixels", Graphics Gems II.
 
@@ -69,7 +69,7 @@ def shared_exponent(
     """
     light = np.maximum(np.asarray(image, np.float64), 0.0)
     largest = light.max(axis=-1)
-    # 255.5 and not 256: what rounds up to 256 takes the next exponent.
+    # 255.5 instead of 256, because a mantissa that rounds up to 256 needs the next exponent.
     exponent = np.ceil(np.log2(np.maximum(largest, 1e-38) * 256 / 255.5))
     exponent = np.clip(exponent, -128, LARGEST_EXPONENT)
     mantissa = np.floor(light * np.exp2(8 - exponent)[..., None] + 0.5)

@@ -17,9 +17,9 @@ The manifest::
                               "scores": {NAME: NUMBER}, "file": F or null, "sha256": H or null,
                               "flip": F or null}]}]}
 
-Files are relative to the folder and lie in it. A number that JSON does not have stands as text,
-``"inf"``. Pictures without a file are rows of tables and points of the plot only. Reading loads
-no jax.
+Files are relative to the folder and lie in it. Numbers that JSON lacks are stored as text, such as
+``"inf"``. Pictures without a file appear only as rows of tables and points of the plot. Reading
+does not load jax.
 """
 
 import dataclasses
@@ -47,18 +47,18 @@ Values = Mapping[str, str | int | float]
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """What one method made of a shot.
+    """The picture that one method made of a shot.
 
     Attributes:
         method: name, unique within its shot.
-        image: (H, W, C) linear light, or None for figures without a picture.
-        milliseconds: that the method took, or None if nobody measured.
-        scores: error figures by name; `write_result` fills in PSNR, SSIM and FLIP if it is empty.
-        settings: of the method, such as samples.
-        group: what shares a color in the plot, such as the filter.
-        published: the settings are those that the authors published.
+        image: (H, W, C) linear light, or None for scores without a picture.
+        milliseconds: run time of the method, or None if not measured.
+        scores: scores by name; `write_result` fills in PSNR, SSIM and FLIP if it is empty.
+        settings: settings of the method, such as samples.
+        group: pictures of one group share a color in the plot; for example the filter.
+        published: whether the settings are those that the authors published.
         flip: (H, W) FLIP error; `write_result` computes it.
-        sha256: of the file that the picture was read from.
+        sha256: SHA-256 of the file that the picture was read from.
     """
 
     method: str
@@ -74,14 +74,14 @@ class Picture:
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """A frame with its truth and what methods made of it.
+    """A frame with its truth and the pictures that methods made of it.
 
     Attributes:
         name: unique within its result.
         truth: (H, W, C) linear light.
-        pictures: in the order in which they are shown.
+        pictures: pictures in display order.
         hashes: SHA-256 of input files by name.
-        sha256: of the file that the truth was read from.
+        sha256: SHA-256 of the file that the truth was read from.
     """
 
     name: str
@@ -93,13 +93,13 @@ class Shot:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What a folder holds.
+    """Contents of a result folder.
 
     Attributes:
-        title: of the page.
-        shots: in the order in which they are shown.
+        title: title of the page.
+        shots: shots in display order.
         settings: shared by all methods, such as the shutter.
-        versions: of the software.
+        versions: versions of the software, by name.
     """
 
     title: str
@@ -114,8 +114,8 @@ def write_result(
     """Write pictures and scores for ``jaxblur report``; an earlier result there is replaced.
 
     Args:
-        folder: made if it is not there.
-        title: of the page.
+        folder: created if it does not exist.
+        title: title of the page.
         shots: consumed one by one, so that a generator keeps only one shot in memory.
         settings: shared by all methods, such as the shutter.
 
@@ -123,12 +123,12 @@ def write_result(
         The manifest.
 
     Raises:
-        ValueError: there is no shot, a name comes twice, or sizes differ from that of the truth.
-        JaxblurIOError: a picture is not finite, or the disk refused.
+        ValueError: there is no shot, a name occurs twice, or a size differs from that of the truth.
+        JaxblurIOError: a picture is not finite, or writing failed.
     """
     folder = pathlib.Path(folder)
     (folder / PICTURES).mkdir(parents=True, exist_ok=True)
-    # Without its manifest a result that is half replaced is none.
+    # Without a manifest, a result that is only partly replaced does not count as a result.
     (folder / MANIFEST).unlink(missing_ok=True)
     entries = [_write_shot(folder, index, shot) for index, shot in enumerate(shots)]
     if not entries:
@@ -194,7 +194,7 @@ _FILES = ("file", "sha256", "flip")
 def _judge(
     image: np.ndarray, truth: np.ndarray, known: Mapping[str, float]
 ) -> tuple[Mapping[str, float], np.ndarray]:
-    """The scores of `jaxblur.metrics.compare` if none are known, and the map of FLIP."""
+    """Compute the scores of `jaxblur.metrics.compare` if none are known, and the FLIP map."""
     from .. import metrics
 
     shown, expected = metrics.display(image), metrics.display(truth)
@@ -217,7 +217,7 @@ def sha256_of(path: pathlib.Path) -> str:
     """Hash a file.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Returns:
         Hexadecimal digits.
@@ -247,22 +247,21 @@ def _versions() -> dict[str, str]:
 def _check_unique(what: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"`{what}` must have names of their own; {name!r} comes twice.")
+            raise ValueError(f"`{what}` must have unique names; {name!r} occurs twice.")
 
 
 def read_result(folder: pathlib.Path) -> Result:
-    """Read what `write_result` wrote.
+    """Read a folder that `write_result` wrote.
 
     Args:
-        folder: with a manifest.
+        folder: folder with a manifest.
 
     Returns:
         The result, its pictures loaded.
 
     Raises:
-        JaxblurIOError: there is no manifest, it is of another schema, a key is missing or has a
-            value of another kind, or a picture is missing, damaged, or not the one that was
-            written.
+        JaxblurIOError: there is no manifest, it has another schema, a key is missing or has a value
+            of another type, or a picture is missing, damaged, or not the one that was written.
     """
     path = pathlib.Path(folder) / MANIFEST
     if not path.is_file():
@@ -272,7 +271,7 @@ def read_result(folder: pathlib.Path) -> Result:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise JaxblurIOError(path, f"is no JSON: {error}; write the result again.") from error
+        raise JaxblurIOError(path, f"is not JSON: {error}; write the result again.") from error
     found = content.get("schema") if isinstance(content, dict) else None
     if found != SCHEMA:
         raise JaxblurIOError(
@@ -288,23 +287,23 @@ def read_result(folder: pathlib.Path) -> Result:
 
 
 class _Reader:
-    """Reads the entries of one manifest; what is wrong is an error that names file and key."""
+    """Reads the entries of one manifest; errors name file and key."""
 
     def __init__(self, path: pathlib.Path):
         self.path = path
 
     def value(self, table: Any, key: str, *kinds: type) -> Any:
-        """One entry of a table, of one of these kinds."""
+        """Read one entry of a table, checked to be of one of these types."""
         if not isinstance(table, dict) or key not in table:
             raise JaxblurIOError(self.path, f"{key!r} is missing; write the result again.")
-        # A truth value is a number to Python, not to the manifest.
+        # Python counts bool as a number; the manifest does not.
         if not isinstance(table[key], kinds) or (type(table[key]) is bool) != (bool in kinds):
             names = " or ".join(kind.__name__ for kind in kinds)
             raise JaxblurIOError(self.path, f"{key!r} must be {names}, got {table[key]!r}.")
         return table[key]
 
     def shot(self, entry: Any) -> Shot:
-        """A shot with its truth and pictures."""
+        """Read a shot with its truth and pictures."""
         truth = self.value(entry, "truth", dict)
         image = self.image(self.value(truth, "file", str), self.value(truth, "sha256", str))
         pictures = [self.picture(e, image) for e in self.value(entry, "pictures", list)]
@@ -312,14 +311,14 @@ class _Reader:
         return Shot(name, image, pictures, hashes, truth["sha256"])
 
     def picture(self, entry: Any, truth: np.ndarray) -> Picture:
-        """A picture with its error map, if it has files."""
+        """Read a picture, and its error map if it has files."""
         file, sha256 = (self.value(entry, k, str, type(None)) for k in ("file", "sha256"))
         flip = self.value(entry, "flip", str, type(None))
         image = None if file is None else self.image(file, sha256)
         error = None if flip is None else self.image(flip, None)[..., 0]
         for array in (image, error):
             if array is not None and array.shape[:2] != truth.shape[:2]:
-                raise JaxblurIOError(self.path, f"{file!r} has not the size of its truth.")
+                raise JaxblurIOError(self.path, f"{file!r} does not have the size of its truth.")
         return Picture(
             method=self.value(entry, "method", str),
             image=image,
@@ -333,14 +332,14 @@ class _Reader:
         )
 
     def scores(self, table: dict[str, Any]) -> dict[str, float]:
-        """Numbers, those that JSON does not have among them."""
+        """Read scores, including numbers that JSON stores as text."""
         try:
             return {name: float(value) for name, value in table.items()}
         except (TypeError, ValueError) as error:
             raise JaxblurIOError(self.path, f"'scores' must be numbers, got {table!r}.") from error
 
     def image(self, name: str, sha256: str | None) -> np.ndarray:
-        """A picture of the folder, checked against its hash."""
+        """Read an image of the folder and check its hash."""
         path = self.path.parent / name
         if not path.resolve().is_relative_to(self.path.parent.resolve()):
             raise JaxblurIOError(self.path, f"{name!r} lies outside the folder; remove it.")

@@ -1,7 +1,7 @@
 """Ground truth: scenes with exact buffers, and the true motion-blurred image.
 
-This part imports nothing from the package but the frame and the sRGB curve: it shares no code with
-the filters that are judged by it.
+From the rest of the package it imports only the frame and the sRGB curve, so that ground truth
+shares no code with the filters that it judges.
 """
 
 from .accumulation import accumulate as accumulate

@@ -22,27 +22,27 @@ def accumulate(
 ) -> Float[Array, "height width 3"]:
     """Render the true motion-blurred image.
 
-    The mean of `samples` sharp images with one ray per pixel. Sample i stands for the i-th of
-    equal shares of the light that the shutter lets through, and its ray goes through the i-th
-    point of the R2 sequence in the pixel, so that the result is antialiased too. Samples are
-    added up one after the other; memory does not depend on their number.
+    The mean of `samples` sharp images with one ray per pixel. The light that the shutter lets
+    through is divided into one equal share per sample; sample i is taken in the middle of share i,
+    and its ray passes through point i of the R2 sequence in the pixel, which antialiases the
+    result. Samples are accumulated one at a time, so memory does not depend on their number.
 
-    With a rolling shutter the rows are exposed one after the other: the exposure of the row at
-    height y (0 top, 1 bottom) is later by ``readout (y - 1/2)``. All rows share the samples,
-    weighted by their own curve, so there are ``1 + |readout|/shutter`` times as many of them.
+    A rolling shutter exposes the rows one after the other: the row at height y (0 top, 1 bottom) is
+    exposed ``readout (y - 1/2)`` frames later. All rows share the sharp images, weighted by each
+    row's own shutter curve, so ``1 + |readout|/shutter`` times as many are rendered.
 
     Args:
-        scene: what to render.
+        scene: scene to render.
         time: frames.
-        shutter: frames that the shutter is open; 0 gives the sharp image.
-        samples: number of samples that each row gets.
+        shutter: exposure time in frames; 0 gives the sharp image.
+        samples: number of sharp images averaged in each row.
         size: (height, width) in pixels.
         shutter_function: "box", "trapezoid", "triangle", "gaussian" or a sampled curve; see
             `shutter_curve`.
-        placement: the exposure is "centered" on `time`, as frames are, or it is "leading" (the
-            shutter opens at `time`) or "trailing" (it closes then).
-        readout: frames that the rolling shutter takes from the upper to the lower edge of the
-            image; negative rolls upward, 0 is a global shutter.
+        placement: "centered" (the exposure is centered on `time`, as for frames), "leading" (the
+            shutter opens at `time`) or "trailing" (it closes at `time`).
+        readout: frames from the exposure of the top edge of the image to that of the bottom edge;
+            negative rolls upward, 0 is a global shutter.
 
     Returns:
         (H, W, 3) linear light, float32.

@@ -1,4 +1,4 @@
-"""The catalogue: scenes named after what the sources stress, each built by one function."""
+"""The catalogue of scenes, one function each; most are modeled after a published figure."""
 
 from collections.abc import Callable
 

@@ -25,8 +25,8 @@ def _atrium() -> list[Body]:
 def zoom() -> Scene:
     """A lion's head that rushes toward the camera through a court with columns.
 
-    Answers Guertin 2014, figure 3.7: motion nearly parallel to the view; velocities point away
-    from one point and grow with the distance from it.
+    After Guertin 2014, figure 3.7: motion nearly parallel to the view; velocities point away from
+    one point and grow with the distance from it.
     """
     head = Body(
         "head",
@@ -41,8 +41,8 @@ def zoom() -> Scene:
 def flagpole() -> Scene:
     """Thin poles with a waving flag, and a camera that tracks past them.
 
-    Answers Guertin 2014, figure 3.12: features thinner than their blur fade or ghost where the
-    weight of the center pixel is wrong.
+    After Guertin 2014, figure 3.12: features thinner than their blur fade or ghost where the weight
+    of the center pixel is wrong.
     """
     pole = primitives.cylinder(0.035, 6.0, 12)
     poles = [
@@ -71,8 +71,8 @@ def flagpole() -> Scene:
 def camera_dolly() -> Scene:
     """A flight forward through a court with columns.
 
-    Answers McGuire 2012, figure 6 bottom: translation along the view gives a radial blur that
-    varies with depth.
+    After McGuire 2012, figure 6 bottom: translation along the view gives a radial blur that varies
+    with depth.
     """
     pots = [
         props.crate("crate", (-1.6, 0, -3.5), 1.1, 20),
@@ -85,8 +85,8 @@ def camera_dolly() -> Scene:
 def camera_turn() -> Scene:
     """A camera that spins about its vertical axis in a cargo bay under the open sky.
 
-    Answers McGuire 2012, figure 6 top: a mostly horizontal blur that is the same at all depths,
-    sky included.
+    After McGuire 2012, figure 6 top: a mostly horizontal blur that is the same at all depths, sky
+    included.
     """
     generator = np.random.default_rng(6)
     bodies = [
@@ -103,10 +103,10 @@ def camera_turn() -> Scene:
 
 
 def tracked_car() -> Scene:
-    """A car that the camera follows: the car is sharp, the street is blurred, wheels turn.
+    """A car that the camera follows: the car is sharp, the street is blurred, the wheels turn.
 
-    Answers McGuire 2012, figure 8: motion is relative to the image, and the colors of the car
-    must not bleed into the street.
+    After McGuire 2012, figure 8: motion is relative to the image, and the colors of the car must
+    not bleed into the street.
     """
     speed = 0.42
     bodies = [
@@ -136,7 +136,7 @@ def tracked_car() -> Scene:
 def uniform_pan() -> Scene:
     """A wall of pictures that fills the frame, and a camera that moves along it.
 
-    All pixels have one depth and one velocity, so that the truth is the box filter along it.
+    All pixels share one depth and one velocity, so the truth is a box filter along that velocity.
     """
     generator = np.random.default_rng(12)
     colors = ["#c8553d", "#2f6f95", "#e0ae4a", "#4f8f63", "#7d5f9e", "#d98f6a"]
@@ -160,7 +160,7 @@ def uniform_pan() -> Scene:
 
 
 def static() -> Scene:
-    """A still life: nothing moves, and every way to the blurred image gives the sharp one."""
+    """A still life: nothing moves, so every method must return the sharp image."""
     bodies = [
         Body(
             "teapot",

@@ -1,4 +1,4 @@
-"""Scenes of the catalogue with bodies that pass each other before a camera at rest."""
+"""Scenes of the catalogue with bodies that pass each other in front of a static camera."""
 
 import numpy as np
 
@@ -13,8 +13,8 @@ FEWEST_CUBES, MOST_CUBES = 1, 5000
 def cube_between_crates() -> Scene:
     """A cube that moves diagonally, behind one crate and in front of another.
 
-    Answers McGuire 2012, figure 5: the transition at the border of a moving object, in a room
-    with grid walls.
+    After McGuire 2012, figure 5: the transition at the border of a moving object, in a room with
+    grid walls.
     """
     cube = Body(
         "cube",
@@ -33,9 +33,9 @@ def cube_between_crates() -> Scene:
 
 
 def cubes_on_teapot() -> Scene:
-    """Cubes that fall on a teapot; almost all move in one direction, a few have bounced off.
+    """Cubes that fall on a teapot; almost all move in one direction, a few have bounced off it.
 
-    Answers Guertin 2014, figure 3.17: few pixels with another velocity dominate their tiles.
+    After Guertin 2014, figure 3.17: a few pixels with a different velocity dominate their tiles.
     """
     generator = np.random.default_rng(17)
     pot = Body(
@@ -71,12 +71,12 @@ def cubes_on_teapot() -> Scene:
 def random_cubes(n: int = 500, seed: int = 1) -> Scene:
     """Cubes at random places with random constant velocities.
 
-    Answers Hong and Oh 2017, figure 14: depth complexity grows with the number of cubes; all
-    motion is a translation, as their method assumes.
+    After Hong and Oh 2017, figure 14: depth complexity grows with the number of cubes; all motion
+    is translation, as their method assumes.
 
     Args:
         n: number of cubes, 50 to 2000 in the paper.
-        seed: of NumPy's generator.
+        seed: seed of NumPy's generator.
 
     Raises:
         ValueError: the number of cubes is out of range.
@@ -114,11 +114,11 @@ def random_cubes(n: int = 500, seed: int = 1) -> Scene:
 
 
 def acceleration_from_rest() -> Scene:
-    """A cube, a ball and a rotor that start to move when the exposure is half over.
+    """A cube, a ball and a rotor that start to move halfway through the exposure.
 
-    Answers Guertin 2014, section 3.6.2: a filter that takes velocity as constant blurs a body
-    that accelerates from rest beyond the place where it stood. At time 0 all bodies stand still;
-    the blur of the exposure around it lies on one side only.
+    After Guertin 2014, section 3.6.2: a filter that assumes constant velocity also blurs a
+    body on the wrong side of its rest position. At time 0 all bodies are at rest; the true blur of
+    an exposure centered on time 0 lies on one side only.
     """
     bodies = [
         Body(
@@ -157,7 +157,7 @@ def acceleration_from_rest() -> Scene:
 
 
 def opposed() -> Scene:
-    """Two trains that pass each other, one before the other.
+    """Two trains that pass each other, one in front of the other.
 
     Velocities in one tile are opposed and equal in size: their mean is zero, and a filter that
     interpolates velocities sees no motion.
@@ -190,7 +190,7 @@ def opposed() -> Scene:
 
 
 def _train(cars: int, spacing: float) -> Mesh:
-    """Couple cars along x: body (slot 0), windows (slot 1), undercarriage (slot 2)."""
+    """Build a row of coupled cars along x: body (slot 0), windows (1), undercarriage (2)."""
     parts = []
     for i in range(cars):
         x = (i - (cars - 1) / 2) * spacing
@@ -203,9 +203,9 @@ def _train(cars: int, spacing: float) -> Mesh:
 
 
 def crossing() -> Scene:
-    """Upright bars that move sideways before level bars that move up.
+    """Vertical bars that move sideways in front of horizontal bars that move up.
 
-    Two motions at right angles in every tile; the wall shows between both.
+    Every tile holds two motions at right angles; the wall shows through the gaps.
     """
     bar = primitives.box((0.34, 9.0, 0.2))
     upright = join([bar.moved((x, 0, 0)) for x in np.arange(-7, 7.1, 1.0)])

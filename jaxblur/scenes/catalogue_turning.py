@@ -18,19 +18,19 @@ STIMULUS_FRAME_RATE = 30.0
 
 
 def _meshed(pitch: float, direction: float, phase: float) -> float:
-    """Turn a gear so that, toward `direction`, its tooth pattern has the given phase."""
+    """Return the angle at which a gear's tooth pattern has the given phase in `direction`."""
     # A tooth of `primitives.gear` is centered 0.375 of a pitch after its zero angle.
     return direction - (0.375 + phase) * pitch
 
 
 def gears() -> Scene:
-    """Interlocking gears that turn at different speeds and directions, before a large one.
+    """Interlocking gears with different speeds and directions, in front of a large gear.
 
-    Answers McGuire 2012, figure 7: spokes in front of a large, fast gear that dominates the
+    After McGuire 2012, figure 7: spokes in front of a large, fast gear that dominates the
     neighborhood; a single velocity per tile underblurs them.
     """
     drive, rate = 20, 0.16
-    parts = [  # teeth, center of the gear relative to the driving one
+    parts = [  # name, teeth, direction from the driver, rim color, spoke color, spokes
         ("driver", drive, None, "#c8963e", "#8f6a2a", 6),
         ("small", 10, np.radians(28), "#4f8fb8", "#2f5f80", 4),
         ("middle", 15, np.radians(-40), "#b5533c", "#80382a", 5),
@@ -42,7 +42,7 @@ def gears() -> Scene:
         radius, pitch = radius_of[name], 2 * np.pi / teeth
         place, angle, spin = np.array([-0.9, -0.1, 0.0]), 0.0, rate
         if direction is not None:
-            # Meeting teeth: the driver's phase toward the other and the other's add up to 1/2.
+            # Where two gears mesh, the phases of their teeth add up to 1/2.
             phase = direction / (2 * np.pi / drive) - 0.375
             angle = _meshed(pitch, direction + np.pi, 0.5 - phase)
             distance = 1.02 * (radius_of["driver"] + radius)
@@ -70,7 +70,7 @@ def gears() -> Scene:
 def wheels_at_three_depths() -> Scene:
     """Three wheels of different colors, depths and directions of travel.
 
-    Answers Guertin 2014, figure 3.14: overlapping translations at three depths.
+    After Guertin 2014, figure 3.14: overlapping translations at three depths.
     """
     rolling = [
         ("near", "#c0392b", (-1.5, -0.5, 2.2), (0.16, 0.03, 0), 1.0),
@@ -94,7 +94,7 @@ def wheels_at_three_depths() -> Scene:
 def rotation_stress() -> Scene:
     """Discs, a ring and a rotor that turn over each other, some on orbits of their own.
 
-    Answers Guertin 2014, figure 3.15: multiple overlapping rotational velocities, curved paths.
+    After Guertin 2014, figure 3.15: multiple overlapping rotational velocities, curved paths.
     """
     board = primitives.disc(2.7, 0.2, 72)
     small = primitives.disc(0.72, 0.2, 40)
@@ -142,8 +142,8 @@ def rotation_stress() -> Scene:
 def rotor_over_city() -> Scene:
     """A helicopter with a fast rotor over a slowly passing city, and a car in the street.
 
-    Answers Guertin 2014, figure 3.16: rotor blades dominate the motion of the background, and a
-    car's motion bleeds over a building.
+    After Guertin 2014, figure 3.16: rotor blades dominate the motion of the background, and a car's
+    motion bleeds over a building.
     """
     flight = rigid((0.3, 5.6, 0.4), orientation=props.turned((0, 1, 0), 35))
     blades = rigid((0.3, 6.5, 0.4), spin_axis=(0, 1, 0), spin=(0.4, 0.42))
@@ -180,10 +180,11 @@ def rotor_over_city() -> Scene:
 def rolling_sphere(material: str = "checker", speed: str = "medium") -> Scene:
     """A sphere that rolls over a floor, parallel to the image.
 
-    Answers Navarro 2012, table 5.1 and figure 5.3: materials flat (M1), checker (M2) and noise
-    (M3); speeds slow (S1), medium (S2) and fast (S3) of 5, 10 and 15 degrees of visual angle per
-    second, where the picture was 14.4 degrees wide and ran at 30 frames per second. A sphere of
-    20 cm, 3 m from a camera 50 cm over the floor with a 50 mm lens. The unit is a meter.
+    After Navarro 2012, table 5.1 and figure 5.3: materials flat (M1), checker (M2) and noise (M3);
+    speeds slow (S1), medium (S2) and fast (S3) of 5, 10 and 15 degrees of visual angle per second,
+    for a picture that was 14.4 degrees wide and ran at 30 frames per second. The sphere is 20 cm
+    wide and 3 m from a camera that is 50 cm above the floor and has a 50 mm lens. Scene units are
+    meters.
 
     Args:
         material: "flat", "checker" or "noise".

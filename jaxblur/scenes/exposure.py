@@ -17,14 +17,14 @@ PROBE_ROWS = 0
 
 
 class Exposure(NamedTuple):
-    """When and where within the pixel each sample is taken.
+    """Time and subpixel position of every sample.
 
-    Arrays are padded, so that the number of samples does not recompile anything.
+    Arrays are padded, so that another number of samples compiles nothing new.
 
     Attributes:
         times: (N,) frames.
         offsets: (N, 2) x and y from the pixel center, pixels.
-        count: () samples in use.
+        count: () number of samples without the padding.
         curve: (K,) transmission from opening to closing, used with a rolling shutter only.
         center: () frames, middle of the exposure of the middle of the image.
         shutter: () frames.
@@ -48,7 +48,7 @@ def make_exposure(
     shutter: float = 0.0,
     readout: float = 0.0,
 ) -> Exposure:
-    """Pair times with positions in the pixel, and pad.
+    """Give every sample time a subpixel position, and pad the arrays.
 
     Args:
         times: (N,) frames.
@@ -79,12 +79,12 @@ def subpixel_offsets(count: int) -> Float[np.ndarray, "samples 2"]:
         count: number of positions.
 
     Returns:
-        (count, 2) offsets x, y from the pixel center; their mean is zero, and they lie in
-        (-1, 1), for many positions in [-1/2, 1/2).
+        (count, 2) offsets x, y from the pixel center, with mean zero. They lie in (-1, 1), and in
+        [-1/2, 1/2) if there are many.
     """
     golden = 1.32471795724474602596
     points = np.outer(np.arange(count), [1 / golden, 1 / golden**2]) % 1.0
-    # Without its mean the sequence would shift the image by a part of a pixel.
+    # The mean is subtracted: it would shift the image by a fraction of a pixel.
     return points - points.mean(axis=0)
 
 
@@ -93,11 +93,11 @@ def integrate(
 ) -> Float[Array, "height width 3"]:
     """Average sharp images over an exposure; memory does not depend on their number.
 
-    The capacity of the rasterizer is found at the first, middle and last sample; should another
-    sample need more, the sum is started again with more.
+    The capacity of the rasterizer is measured at the first, middle and last sample. If another
+    sample needs more, the sum restarts with a larger capacity.
 
     Args:
-        scene: what to render.
+        scene: scene to render.
         exposure: the samples.
         size: (height, width) in pixels.
 
@@ -116,15 +116,16 @@ def integrate(
 
 
 def needed_capacity(world: World, times: np.ndarray, size: tuple[int, int]) -> Capacity:
-    """Count rows and fragments at some times and round them up.
+    """Measure the rows and fragments that some times need, rounded up.
 
     Args:
         world: the arrays of a scene.
-        times: (T,) frames; compiled anew for every T.
+        times: (T,) frames; every new T compiles once.
         size: (height, width).
 
     Returns:
-        Capacity that suffices at these times for pixel centers; others may need more.
+        Capacity that suffices at these times for rays through pixel centers; other times and rays
+        may need more.
     """
     moments = jnp.asarray(times, jnp.float32)
     capacity = enough(PROBE_ROWS, 0)
@@ -137,7 +138,7 @@ def needed_capacity(world: World, times: np.ndarray, size: tuple[int, int]) -> C
 
 
 def fits(needed: jax.Array, capacity: Capacity) -> bool:
-    """Tell whether (rows, fragments) needed are within the capacity."""
+    """Return whether the needed (rows, fragments) are within the capacity."""
     rows, fragments = needed.tolist()
     return rows <= capacity.rows and fragments <= capacity.fragments
 
@@ -189,15 +190,15 @@ def _count(world: World, times: Array, size: tuple[int, int], capacity: int) -> 
 
 
 def row_weights(exposure: Exposure, time: Float[Array, ""], height: int) -> Float[Array, " height"]:
-    """Light that a rolling shutter lets through to each row at one time.
+    """Compute the light that a rolling shutter lets through to each row at one time.
 
     Args:
-        exposure: of the image.
+        exposure: exposure of the image.
         time: () frames.
         height: number of rows.
 
     Returns:
-        (H,) the curve at the row's own position in its exposure, 0 outside.
+        (H,) the shutter curve at the position of `time` in the row's own exposure, 0 outside it.
     """
     rows = (jnp.arange(height) + 0.5) / height - 0.5
     position = (time - exposure.center - exposure.readout * rows) / exposure.shutter + 0.5
@@ -209,7 +210,7 @@ def row_weights(exposure: Exposure, time: Float[Array, ""], height: int) -> Floa
 def _integrate(
     world: World, exposure: Exposure, size: tuple[int, int], capacity: Capacity, rolling: bool
 ) -> tuple[Array, Array]:
-    """Give the weighted mean, and the capacity needed; stop early once it is exceeded."""
+    """Return the weighted mean and the capacity needed; stop once `capacity` is exceeded."""
     # Each sample averages textures over its share of the pixel.
     footprint = jax.lax.rsqrt(exposure.count.astype(jnp.float32))
     limit = jnp.array([capacity.rows, capacity.fragments])

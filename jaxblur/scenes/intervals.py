@@ -1,9 +1,9 @@
-"""Visible time as bit masks: when each moving triangle covers a sample, in closed form.
+"""Coverage over time as bit masks: when a moving triangle covers a sample, in closed form.
 
-The covered set of a triangle is where three quadratics in time have the right sign. The sign of
-a quadratic is a mask of bits with at most two changes, and the intersection of the three sets is
-the AND of the masks; so twisted triangles, which cover a pixel more than once, need no case of
-their own. Bit b stands for the middle of the b-th share of the light.
+A triangle covers a sample while three quadratics in time have the right sign. The sign of a
+quadratic over time is a bit mask with at most two changes, and the AND of the three masks is the
+covered time. Twisted triangles, which may cover a pixel more than once, therefore need no special
+case. Bit b is the middle of the b-th equal share of the light.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class Clock(NamedTuple):
 
     Attributes:
         table: light against time.
-        keys: (K + 1,) positions in the exposure of the ends of the pieces.
+        keys: (K + 1,) positions in the exposure at which the pieces begin and end.
     """
 
     table: LightTable
@@ -42,14 +42,14 @@ class Clock(NamedTuple):
 
 
 class Intervals(NamedTuple):
-    """When triangles cover samples, N records; one per sample, triangle and piece of time.
+    """When triangles cover samples: N records, one per sample, triangle and piece of time.
 
     Attributes:
-        cell: (N,) ``piece * pixels + pixel``; records that are not in use have the largest int.
+        cell: (N,) ``piece * pixels + pixel``; unused records hold the largest int.
         owner: (N,) swept triangle.
         mask: (W, N) bits of the piece at which the sample is covered, lowest bit first.
-        line: (2, N) depth at bit 0 and its change per bit, straight between the first and the
-            last covered bit.
+        line: (2, N) depth at bit 0 and its change per bit, on the straight line through the depths
+            at the first and the last covered bit.
         nearest: (N,) smaller depth of the two ends.
         farthest: (N,) larger depth of the two ends.
     """
@@ -68,7 +68,7 @@ UNUSED = 2**31 - 1
 def share_at(
     clock: Clock, piece: Int[Array, "..."], bit: Float[Array, "..."], bits: int
 ) -> Float[Array, "..."]:
-    """Time of a bit, as a share of its piece; whole numbers are the boundaries of bits."""
+    """Convert a bit to time as a share of its piece; integers are boundaries between bits."""
     light = bit / bits
     if clock.table.light.shape[0] == 2:
         return light
@@ -92,7 +92,7 @@ def bit_at(
 
 
 def bits_before(moment: Float[Array, "..."], bits: int) -> UInt32[Array, "words ..."]:
-    """Set the bits whose middles lie before a moment, which is in bits from the piece's start."""
+    """Set the bits whose middles lie before `moment`, in bits from the start of the piece."""
     count = jnp.clip(jnp.ceil(moment - 0.5), 0, bits).astype(jnp.int32)
     word = jnp.arange(bits // WORD, dtype=jnp.int32).reshape(-1, *[1] * moment.ndim)
     inside = jnp.clip(count - WORD * word, 0, WORD).astype(jnp.uint32)
@@ -108,7 +108,7 @@ def count_bits(mask: UInt32[Array, "words ..."]) -> Int[Array, "..."]:
 def first_and_last_bit(
     mask: UInt32[Array, "words ..."],
 ) -> tuple[Int[Array, "..."], Int[Array, "..."]]:
-    """Number the lowest and the highest bit that is set; meaningless for empty masks."""
+    """Return the numbers of the lowest and the highest set bit; meaningless for empty masks."""
     word = WORD * jnp.arange(mask.shape[0], dtype=jnp.int32).reshape(-1, *[1] * (mask.ndim - 1))
     lowest = jax.lax.population_count((mask & -mask) - 1).astype(jnp.int32)
     highest = WORD - 1 - jax.lax.clz(mask).astype(jnp.int32)
@@ -123,9 +123,9 @@ def negative_bits(
 
     Args:
         polynomial: (3, ...) coefficients of 1, s, s^2.
-        clock: of the exposure.
+        clock: clock of the exposure.
         piece: (...) piece of time.
-        bits: static, of a piece.
+        bits: static number of bits of a piece.
 
     Returns:
         (W, ...) masks.
@@ -135,7 +135,7 @@ def negative_bits(
     square = c1**2 - 4 * c0 * c2
     crosses = square > 0
     root = jnp.sqrt(jnp.where(crosses, square, 1.0))
-    # The form without cancellation; it gives the root of a linear function too.
+    # The quadratic formula without cancellation; it also gives the root of a linear function.
     larger = -0.5 * (c1 + jnp.where(c1 < 0, -root, root))
     roots = [larger / c2, c0 / jnp.where(larger == 0, 1.0, larger)]
     moments = jnp.stack([jnp.minimum(*roots), jnp.maximum(*roots)])
@@ -155,18 +155,18 @@ def covered_bits(
     piece: Int[Array, " n"],
     bits: int,
 ) -> UInt32[Array, "words n"]:
-    """Find when samples are inside moving triangles, from either side unless closed.
+    """Find the bits at which samples are inside moving triangles; open ones have two sides.
 
     Args:
         polynomials: (3, 3, N) edge functions in time.
         forward: (3, N) direction of each edge.
         closed: (N,) whether the back is never seen.
-        clock: of the exposure.
+        clock: clock of the exposure.
         piece: (N,) piece of time.
-        bits: static, of a piece.
+        bits: static number of bits of a piece.
 
     Returns:
-        (W, N) masks. Neighbors get complementary bits at their common edge.
+        (W, N) masks. Triangles that share an edge get complementary bits along it.
     """
     negative = negative_bits(polynomials, clock, jnp.broadcast_to(piece, forward.shape), bits)
     agrees = jnp.where(forward, negative, ~negative)
@@ -198,16 +198,16 @@ def find_intervals(
 
     Args:
         swept: moving triangles.
-        rows: where they may be.
+        rows: pixel rows that the triangles may cover.
         offset: (2,) x and y of the sample from the pixel center, pixels.
         focal: () pixels.
-        clock: of the exposure.
+        clock: clock of the exposure.
         size: (height, width).
-        bits: static, of a piece.
+        bits: static number of bits of a piece.
         capacity: static length of the list.
 
     Returns:
-        The intervals, and how many there are; those beyond the capacity are missing.
+        The intervals, and their number; those beyond the capacity are missing.
     """
     height, width = size
     pieces = clock.keys.shape[0] - 1
@@ -251,8 +251,8 @@ def _empty(capacity: int, bits: int) -> Intervals:
 def _intervals(
     swept: Swept, owner: Array, ray: Array, clock: Clock, piece: Array, bits: int
 ) -> Intervals:
-    """Intervals of pairs of a triangle and a ray; the masks of most are empty."""
-    # Kept apart: fused, the reads would be done again for every word of the mask.
+    """Build one interval per pair of a triangle and a ray; most masks are empty."""
+    # The barrier prevents a fusion that would repeat the reads for every word of the mask.
     polynomials = jax.lax.optimization_barrier(edge_polynomials(swept, owner, ray))
     forward = swept.forward[:, owner]
     mask = covered_bits(polynomials, forward, swept.closed[owner], clock, piece, bits)
@@ -274,7 +274,7 @@ def _intervals(
 
 
 def sort_intervals(intervals: Intervals) -> Intervals:
-    """Bring intervals of one cell together, the nearest first."""
+    """Sort intervals by cell, and within a cell by nearest depth."""
     number = jnp.arange(intervals.cell.shape[0], dtype=jnp.int32)
     keys = intervals.cell, intervals.nearest, number
     order = jax.lax.sort(keys, num_keys=2)[2]

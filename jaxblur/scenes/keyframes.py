@@ -1,7 +1,7 @@
-"""Motion as pieces of time: poses at the ends of each piece, and straight lines between them.
+"""Motion in pieces of time: poses at the ends of each piece, straight lines between them.
 
-The ways to blur that look at a stretch of time at once move every corner of a triangle along a
-straight line in camera space within a piece. `needed_pieces` measures the error of that.
+`stochastic` and `motion_paths` move every corner of a triangle along a straight line in camera
+space within a piece. `needed_pieces` measures the error of this approximation.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ TABLE_POINTS = 1025
 
 
 class LightTable(NamedTuple):
-    """Time in the exposure against the share of the light that has passed by then.
+    """Share of the light that has passed, as a function of the position in the exposure.
 
     Attributes:
         position: (T,) increasing from -1/2 (opening) to 1/2 (closing).
@@ -54,31 +54,31 @@ def light_table(shutter_function: ShutterFunction) -> LightTable:
 
 
 def position_at(table: LightTable, light: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Find when a share of the light has passed, in shutter units from -1/2 to 1/2."""
+    """Find the position in the exposure, -1/2 to 1/2, by which a share of the light has passed."""
     return jnp.interp(light, table.light, table.position)
 
 
 def light_at(table: LightTable, position: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Find the share of the light that has passed at a position in the exposure."""
+    """Find the share of the light that has passed by a position in the exposure."""
     return jnp.interp(position, table.position, table.light)
 
 
 def needed_pieces(
     world: World, opening: float, closing: float, size: tuple[int, int], tolerance: float
 ) -> tuple[int, float]:
-    """Find how many pieces of time keep straight paths close to the true ones.
+    """Find the number of pieces of time that keeps straight paths close to the true ones.
 
     Args:
         world: the arrays of a scene.
         opening: frames.
         closing: frames.
         size: (height, width) of the image.
-        tolerance: largest distance in pixels between a point in the image and its place on the
-            straight path.
+        tolerance: largest distance allowed between the true and the straight path in the image,
+            pixels.
 
     Returns:
-        Number of pieces, a power of two and at most 64, and the largest distance measured with
-        them, in pixels, at the quarters of each piece.
+        Number of pieces, a power of two and at most 64, and the largest distance that remains, in
+        pixels, measured at the quarter points of each piece.
     """
     pieces = 1
     while True:
@@ -120,7 +120,7 @@ def key_poses(world: World, times: Float[Array, " keys"]) -> Pose:
 
 
 def _between(values: Array, piece: Array, share: Array, *index: Array) -> Array:
-    """Values of one piece's ends, read at an index and mixed by the share of the piece."""
+    """Interpolate the values at an index between the two ends of a piece."""
     start, end = values[(piece, *index)], values[(piece + 1, *index)]
     return start + share.reshape(share.shape + (1,) * (start.ndim - 1)) * (end - start)
 
@@ -128,9 +128,9 @@ def _between(values: Array, piece: Array, share: Array, *index: Array) -> Array:
 def camera_rotations(
     poses: Pose, piece: Int[Array, " points"], share: Float[Array, " points"]
 ) -> Float[Array, "points 3 3"]:
-    """Turn from camera to world axes at a time of its own for every point.
+    """Return the rotation from camera to world axes at each point's own time.
 
-    Mixed between the ends of a piece, so that the sky moves as the points do.
+    Interpolated between the ends of a piece as the points are, so that the sky moves with them.
     """
     return _between(poses.camera_rotation, piece, share)
 
@@ -142,21 +142,21 @@ def own_copies(
     triangle: Int[Array, " points"],
     share: Float[Array, " points"],
 ) -> tuple[World, Pose]:
-    """Give every point a triangle of its own, posed at the point's own time.
+    """Copy, for every point, the triangle that it sees, posed at the point's own time.
 
-    Triangle n of the result is the one that point n sees, so that whatever takes a world at one
-    time serves for points that are each seen at another.
+    Triangle n of the result belongs to point n. Functions that expect a world at one time can then
+    process points that are seen at different times.
 
     Args:
         world: the arrays of a scene.
-        poses: at the ends of the pieces, leading axis K + 1.
+        poses: poses at the ends of the pieces, leading axis K + 1.
         piece: (N,) in [0, K).
         triangle: (N,) not negative.
         share: (N,) time as a share of the piece, in [0, 1].
 
     Returns:
-        World and pose with N triangles and 3 N points. The pose's camera does not turn: rays
-        must come in world axes where their direction counts.
+        World and pose with N triangles and 3 N points. The pose's camera is not rotated: pass rays
+        in world axes where their direction matters.
     """
     count = triangle.shape[0]
     corners = [_between(poses.points, piece, share, world.triangles[triangle, i]) for i in range(3)]

@@ -24,7 +24,7 @@ SMALLEST_WIDTH = 1e-4
 
 
 class Pattern(IntEnum):
-    """What mixes a material's two colors."""
+    """The pattern that mixes a material's two colors."""
 
     FLAT = 0
     CHECKER = 1
@@ -43,7 +43,7 @@ class Material:
         repeats: (..., 2) pattern periods per unit of texture coordinate.
         joint: (...) share of a brick's period that is mortar, the same in both directions.
         bond: (...) shift of every other row of bricks in periods; 0 makes a grid.
-        glow: (...) light that the surface gives off, as a multiple of its albedo.
+        glow: (...) emitted light, as a multiple of the albedo.
     """
 
     pattern: jax.Array
@@ -135,8 +135,8 @@ def filtered_albedo(
 
     Args:
         materials: all materials, with a leading axis (M,).
-        number: (N,) int, which of them each point has.
-        noise_pyramid: the texels of `noise_texels`.
+        number: (N,) int, index of each point's material.
+        noise_pyramid: the texels from `noise_texels`.
         texture: (2, N) box centers, texture coordinates.
         width: (2, N) box widths, texture coordinates, not negative.
 
@@ -149,7 +149,8 @@ def filtered_albedo(
     repeats = materials.repeats.T[:, number]
     position, extent = texture * repeats, jnp.maximum(width * repeats, SMALLEST_WIDTH)
     is_noise = pattern == Pattern.NOISE
-    # Most scenes have no noise, and eight texel reads per point are the dearest part of shading.
+    # Most scenes have no noise, and its eight texel reads per point are the most expensive part of
+    # shading.
     fractal = jax.lax.cond(
         jnp.any(is_noise),
         lambda: filtered_noise(noise_pyramid, position, extent),
@@ -218,7 +219,7 @@ def _pulse_average(center: jax.Array, width: jax.Array, duty: jax.Array) -> jax.
         whole = jnp.floor(x)
         return whole * duty + jnp.minimum(x - whole, duty)
 
-    # Whole periods are taken off first: the difference of two large integrals loses digits.
+    # Whole periods are removed first: the difference of two large integrals loses precision.
     start = center - width / 2
     start = start - jnp.floor(start)
     return (integral(start + width) - integral(start)) / width
@@ -232,7 +233,7 @@ def filtered_noise(
     """Read the noise texture trilinearly at the mip level of the box's longer side.
 
     Args:
-        pyramid: the texels of `noise_texels`.
+        pyramid: the texels from `noise_texels`.
         position: (2, ...) in periods of the texture.
         width: (2, ...) box widths in periods.
 
@@ -271,11 +272,11 @@ def _bilinear(
 def noise_texels(seed: int = 7) -> np.ndarray:
     """Make the periodic fractal noise texture with all its mip levels.
 
-    A random spectrum that falls as 1/f, stretched to [0, 1]; each level is the 2 x 2 mean of the
-    level before.
+    The spectrum is random and falls as 1/f; values are stretched to [0, 1]. Each level holds the
+    2x2 means of the level before.
 
     Args:
-        seed: of NumPy's generator.
+        seed: seed of NumPy's generator.
 
     Returns:
         (87381,) float32: levels of 256^2, 128^2, .. 1 texels, one after the other.

@@ -22,7 +22,7 @@ class Mesh:
         triangles: (F, 3) int, counter-clockwise seen from outside.
         normals: (F, 3, 3) unit normals at the corners.
         texture: (F, 3, 2) texture coordinates at the corners.
-        slots: (F,) int, which of the body's materials the triangle has.
+        slots: (F,) int, index of the triangle's material among those of the body.
         closed: (F,) bool, whether the triangle belongs to a closed surface, so that its back is
             never seen.
     """
@@ -71,7 +71,7 @@ def make_mesh(
         triangles: (F, 3) indices into `points`.
         texture: (F, 3, 2), or (V, 2) to take each point's coordinate at its corners.
         normals: (F, 3, 3), or (V, 3) for smooth shading, or None for face normals.
-        closed: whether the surface has an inside.
+        closed: whether the surface encloses a volume.
 
     Returns:
         The mesh, with all triangles in slot 0.
@@ -108,7 +108,7 @@ def smooth_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
-    """Put meshes into one; they move together and keep their slots.
+    """Merge meshes into one; they then move together and keep their slots.
 
     Args:
         meshes: at least one mesh.
@@ -132,15 +132,15 @@ def join(meshes: Sequence[Mesh]) -> Mesh:
 def load_mesh(path: str | Path) -> Mesh:
     """Read a mesh file (OBJ, GLB, PLY, STL, ..) with trimesh.
 
-    Nodes of a scene file are put into one mesh. Geometry, normals and texture coordinates are
-    read; the file's materials and images are not: give the body a material of its own.
+    All nodes of a scene file become one mesh. Geometry, normals and texture coordinates are read;
+    the file's materials and images are not: give the body a material of its own.
 
     Args:
         path: the file.
 
     Returns:
-        The mesh, with all triangles in slot 0 and, where the file has no texture coordinates,
-        x and y in their place.
+        The mesh, with all triangles in slot 0. If the file has no texture coordinates, x and y of
+        the points take their place.
 
     Raises:
         ModuleNotFoundError: trimesh is not installed.

@@ -1,6 +1,6 @@
 """Rigid motion as data: transforms of time for objects and for the camera.
 
-Time is in frames, angles in radians, lengths in scene units. Motions are arrays and not Python
+Time is in frames, angles in radians, lengths in scene units. Motions are arrays instead of Python
 functions, so that scenes with the same number of objects share compiled code.
 
 The world is right-handed with y up. Camera space has x right, y down and z forward, so that its
@@ -63,10 +63,10 @@ def rigid(
     orbit: Vector = (0.0, 0.0, 0.0),
     start: float = 0.0,
 ) -> Motion:
-    """Describe one rigid motion; what is left out stays still.
+    """Describe one rigid motion; parts that are left out do not move.
 
     Args:
-        position: (3,) where the object's origin is at time 0, scene units.
+        position: (3,) position of the object's origin at time 0, scene units.
         orientation: (3, 3) rotation from object to world axes; identity if None.
         velocity: (3,) scene units per frame.
         acceleration: (3,) scene units per frame squared, from `start` on.
@@ -127,7 +127,7 @@ def axis_rotation(axis: Float[Array, " 3"], angle: Float[Array, ""]) -> Float[Ar
 def transform(
     motion: Motion, time: Float[Array, ""]
 ) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:
-    """Evaluate one motion at one time; `jax.vmap` gives many of either.
+    """Evaluate one motion at one time; use `jax.vmap` for several motions or times.
 
     Args:
         motion: a motion without leading axes.
@@ -152,7 +152,7 @@ def stack(motions: Sequence[Motion]) -> Motion:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A moving pinhole camera with square pixels and its axis through the image center.
+    """A moving pinhole camera with square pixels, whose axis passes through the image center.
 
     Attributes:
         motion: rigid motion from camera space (x right, y down, z forward) to the world.
@@ -206,7 +206,7 @@ def camera(
 
 
 def look_at(position: Vector, target: Vector) -> np.ndarray:
-    """Turn camera axes so that z points from `position` to `target` and the image is upright.
+    """Orient a camera so that z points from `position` to `target` and the image is upright.
 
     Args:
         position: (3,) eye.

@@ -1,4 +1,4 @@
-"""Motion blur by triangular motion paths [Hong and Oh 2017]: visible time ranges, no sampling."""
+"""Motion blur by triangular motion paths [Hong and Oh 2017]: visible time ranges, not samples."""
 
 import dataclasses
 import functools
@@ -27,16 +27,16 @@ OVERFLOW = ("warn", "error")
 
 
 class MotionPathStatistics(NamedTuple):
-    """What an image took.
+    """Statistics of rendering one image.
 
     Attributes:
         intervals_per_pixel: mean number of intervals per pixel, over all pieces of time.
-        longest_list: most intervals of one pixel in one piece of time.
-        overflowing: lists, over all samples and pieces, that were cut at `max_intervals` before
-            their pixel was known to be finished.
-        pieces: pieces of time.
-        seconds: of each stage, without compilation: "intervals", "sorting" (by pixel and depth),
-            "occlusion" (intersections and masks) and "shading".
+        longest_list: largest number of intervals of one pixel in one piece of time.
+        overflowing: number of lists, over all samples and pieces, that were cut at `max_intervals`
+            before their pixel was finished.
+        pieces: number of pieces of time.
+        seconds: time of each stage, without compilation: "intervals", "sorting" (by pixel and
+            depth), "occlusion" (intersections and masks) and "shading".
     """
 
     intervals_per_pixel: float
@@ -47,7 +47,7 @@ class MotionPathStatistics(NamedTuple):
 
     @property
     def sorting_share(self) -> float:
-        """Share of the time for ordering in depth and time: sorting and intersections."""
+        """Share of the time that ordering in depth and time takes: sorting and intersections."""
         ordering = self.seconds["sorting"] + self.seconds["occlusion"]
         return ordering / sum(self.seconds.values())
 
@@ -84,53 +84,55 @@ def motion_paths(
 ) -> Any:
     """Render a noise-free motion-blurred image from the time ranges in which triangles are seen.
 
-    1. **Intervals.** For every triangle and pixel that its convex hull touches, the times at
-       which it covers the pixel's sample. The paper triangulates the sides of the prism between
-       the triangle's two positions, because a GPU then finds the times; the sides are bilinear
-       and not flat, and twisted ones are special cases. Here they are the closed form: edge
-       functions are quadratic in time [Gribel et al. 2010], exact for linear motion and in
-       perspective, without special cases, and no rasterizer is at hand that would be quicker.
+    1. **Intervals.** For every triangle and every pixel that its swept convex hull touches: the
+       times at which the triangle covers the pixel's sample. The paper triangulates the sides of
+       the prism between the triangle's two positions, so that GPU rasterization finds the times;
+       these sides are bilinear instead of flat, and twisted ones are special cases. Here the times
+       have a closed form, because edge functions are quadratic in time [Gribel et al. 2010]. It is
+       exact for linear motion, in perspective too, and has no special cases; a hardware rasterizer,
+       which would be faster, is not available here.
     2. **Sorting** by pixel and nearest depth.
-    3. **Occlusion.** From front to back each interval takes the bits of its mask that are not
-       taken; intervals that intersect in depth and time are split there. A pixel is done when
-       its mask is full and the rest lies behind.
-    4. **Shading** after visibility: the texture is averaged along the path of the pixel over
-       the surface in at most `texture_samples` parts, each with a footprint as long as itself.
-       Light is constant within an interval.
+    3. **Occlusion.** From front to back each interval takes the bits of its mask that are still
+       free; intervals that intersect in depth and time are split at the intersection. A pixel is
+       finished when its mask is full and all remaining intervals lie behind.
+    4. **Shading** after visibility: the texture is averaged along the pixel's path over the
+       surface, in at most `texture_samples` parts, each with a footprint as long as the part.
+       Lighting is constant within an interval.
 
     Args:
-        scene: what to render.
+        scene: scene to render.
         time: frames.
-        shutter: frames that the shutter is open; 0 gives the sharp image.
+        shutter: exposure time in frames; 0 gives the sharp image.
         size: (height, width) in pixels.
-        mask_bits: moments at which visibility is known, in every piece; a multiple of 32.
-        max_intervals: most intervals of a pixel in a piece; memory grows with it but slowly.
+        mask_bits: number of times in every piece at which visibility is resolved; a multiple of 32.
+        max_intervals: largest number of intervals of a pixel in a piece; memory grows slowly with
+            it.
         shutter_function: "box", "trapezoid", "triangle", "gaussian" or a sampled curve; see
-            `shutter.shutter_curve`. Bits stand for equal shares of the light.
-        pieces: how many pieces with linear motion the exposure is cut into. None takes as many
-            as keep paths within a tenth of a pixel of the true ones, 64 at most; 1 for linear
-            motion.
-        spatial_samples: samples per pixel, averaged; 1 is the pixel's center, as in the paper,
-            without antialiasing of what does not move.
-        texture_samples: most parts of a path in which textures are read.
+            `shutter.shutter_curve`. Bits are equal shares of the light.
+        pieces: number of pieces with linear motion into which the exposure is cut. None chooses as
+            many as keep paths within a tenth of a pixel of the true ones, at most 64; for linear
+            motion that is 1.
+        spatial_samples: samples per pixel, averaged; 1 samples the pixel's center only, as in the
+            paper, and does not antialias static edges.
+        texture_samples: largest number of parts of a path in which textures are read.
         placement: "centered", "leading" or "trailing"; see `accumulation.accumulate`.
-        overflow: what to do if pixels need more than `max_intervals`: "warn" or "error".
-        with_statistics: return `MotionPathStatistics` too; takes twice as long, as stages are
-            run again to be timed.
+        overflow: "warn" or "error" if pixels need more than `max_intervals`.
+        with_statistics: return `MotionPathStatistics` too; takes twice as long, because every stage
+            runs again to be timed.
 
     Returns:
-        (H, W, 3) linear light, float32; with statistics, the image and these.
+        (H, W, 3) linear light, float32; with statistics, the pair (image, statistics).
 
     Raises:
         ValueError: an argument is out of range.
-        OverflowError: pixels need more than `max_intervals`, if this is asked for.
+        OverflowError: pixels need more than `max_intervals`, and `overflow` is "error".
 
     Warns:
-        RuntimeWarning: pixels need more than `max_intervals`, and may be wrong.
+        RuntimeWarning: pixels need more than `max_intervals` and may be wrong.
 
-    Source: Hong and Oh, Real-Time Motion Blur Using Triangular Motion Paths, 2017. Departures:
-    the closed form of 1; splits are made in the masks, see `occlusion`; texture coordinates are
-    exact at the ends of each part and not linear between the ends of the interval.
+    Source: Hong and Oh, Real-Time Motion Blur Using Triangular Motion Paths, 2017. Departures: the
+    closed form of step 1; splits are made in the masks, see `occlusion`; texture coordinates are
+    exact at the ends of each part instead of linear between the ends of the interval.
     """
     check_exposure(shutter, size)
     _check(mask_bits, max_intervals, pieces, spatial_samples, texture_samples, overflow)
@@ -184,7 +186,7 @@ def _report(overflowing: int, max_intervals: int, overflow: str) -> None:
         return
     message = (
         f"{overflowing} lists of a pixel's intervals are longer than `max_intervals` "
-        f"({max_intervals}), and what lies farthest is missing there; give a larger number."
+        f"({max_intervals}), so the farthest surfaces are missing there; give a larger number."
     )
     if overflow == "error":
         raise OverflowError(message)
@@ -193,7 +195,7 @@ def _report(overflowing: int, max_intervals: int, overflow: str) -> None:
 
 @dataclasses.dataclass
 class _Passes:
-    """Renders one sample per pixel at a time, and keeps count."""
+    """Renders one sample per pixel at a time, and accumulates statistics."""
 
     world: World
     stretch: Stretch
@@ -211,7 +213,7 @@ class _Passes:
     )
 
     def render(self, offset: Array, spacing: Array, *, timed: bool) -> Array:
-        """Give the image (3, P) for samples at an offset from the pixel centers."""
+        """Return the image (3, P) of samples at an offset from the pixel centers."""
         run = self._timed if timed else _plain
         view, found = self._find(offset, spacing, run)
         found = run("sorting", _sort, found)
@@ -271,7 +273,7 @@ def _find(
     row_capacity: int,
     capacity: int,
 ) -> tuple[View, Intervals, Array]:
-    """List the intervals, and count the rows and the intervals needed."""
+    """List the intervals, and count the rows and intervals needed."""
     poses, swept = _sweep(world, stretch, size)
     rows = swept_rows(swept, offset, 0.0, size, row_capacity)
     focal = world.camera.focal * size[1]

@@ -1,10 +1,10 @@
-"""Occlusion between intervals: a walk from front to back with bit masks.
+"""Occlusion between intervals: a front-to-back walk with bit masks.
 
-Hong and Oh sort the intervals of a pixel by depth and time, cut two that intersect at the
-intersection into four, and let each take the bits that nothing before it has. Here the cut is
-made in the masks: of the bits that two intervals share, those on one side of the intersection
-go to one and the rest to the other. The bits are the same, the list does not grow, and there
-are no cyclic overlaps, which Newell's tests cannot order.
+Hong and Oh sort the intervals of a pixel by depth and time, cut two intersecting intervals into
+four at the intersection, and give each interval the bits that no nearer one has taken. Here the cut
+is made in the masks: of the bits that two intervals share, those on one side of the intersection go
+to one interval and the rest to the other. The result is the same, the list does not grow, and
+cyclic overlaps, which Newell's tests cannot order, do not occur.
 """
 
 import functools
@@ -20,12 +20,12 @@ LANES = 512
 
 
 class Lists(NamedTuple):
-    """The runs of sorted intervals that belong to one cell each, shortest first.
+    """Runs of sorted intervals, one run per cell, shortest first.
 
     Attributes:
-        head: (L,) where each run starts.
-        length: (L,) number of intervals in it, 0 for runs not in use.
-        unused: () number of runs not in use; they come first.
+        head: (L,) index of each run's first interval.
+        length: (L,) number of intervals in the run, 0 for unused runs.
+        unused: () number of unused runs; they come first.
     """
 
     head: jax.Array
@@ -34,7 +34,7 @@ class Lists(NamedTuple):
 
 
 def lists(intervals: Intervals) -> Lists:
-    """Find the runs of one cell, ordered by length so that neighbors take equally long."""
+    """Find the run of each cell, ordered by length so that neighboring lanes take equally long."""
     cell = intervals.cell
     capacity = cell.shape[0]
     starts = jnp.concatenate([jnp.ones(1, bool), cell[1:] != cell[:-1]]) & (cell != UNUSED)
@@ -48,16 +48,16 @@ def lists(intervals: Intervals) -> Lists:
 def visible_bits(
     intervals: Intervals, most: int, bits: int
 ) -> tuple[UInt32[Array, "words n"], Int[Array, ""], Int[Array, ""]]:
-    """Give every bit of a cell to the interval that is nearest then.
+    """Give every bit of a cell to the interval that is nearest at that time.
 
     Args:
         intervals: sorted by cell and nearest depth.
-        most: static, intervals of a cell that are looked at.
-        bits: static, of a piece.
+        most: static number of intervals of a cell that are examined.
+        bits: static number of bits of a piece.
 
     Returns:
-        (W, N) the bits at which each interval is seen; () the number of cells whose list was
-        longer than `most` and not known to be finished, which may be wrong; () the longest list.
+        (W, N) bits at which each interval is visible; () number of cells that may be wrong, because
+        their list was cut at `most` before they were finished; () length of the longest list.
     """
     runs = lists(intervals)
     capacity = intervals.cell.shape[0]
@@ -85,16 +85,16 @@ def visible_bits(
 
 
 class _Walk(NamedTuple):
-    """Where the walk stands, in L lanes.
+    """State of the walk, in L lanes.
 
     Attributes:
-        k: () number of intervals of each run that have been looked at.
-        done: (L,) whether nothing more can be seen.
-        taken: (W, L) bits at which something has been seen.
-        settled: (W, L) those of them that lie before all that comes.
+        k: () number of intervals of each run examined so far.
+        done: (L,) whether no further interval can be visible.
+        taken: (W, L) bits that some interval has taken.
+        settled: (W, L) taken bits that lie in front of all remaining intervals.
         since: (L,) first interval whose bits are not settled.
-        reach: (L,) farthest depth of what has been seen since.
-        own: (most, W, L) bits that each interval has.
+        reach: (L,) farthest depth of the intervals from `since` on.
+        own: (most, W, L) bits that each interval holds.
         lines: (most, 2, L) depths of each interval.
     """
 
@@ -111,7 +111,7 @@ class _Walk(NamedTuple):
 def _walk_lanes(
     intervals: Intervals, head: Array, length: Array, most: int, bits: int
 ) -> tuple[Array, Array, Array]:
-    """Resolve one run per lane: bits seen (most, W, lanes), steps made, runs cut short."""
+    """Resolve one run per lane; return bits (most, W, lanes), steps, number of runs cut short."""
     limit = jnp.minimum(jnp.max(length), most)
 
     def unfinished(walk: _Walk) -> Array:
@@ -123,7 +123,7 @@ def _walk_lanes(
 
 
 def _start(length: Array, most: int, words: int) -> _Walk:
-    """Nothing seen yet."""
+    """Return the initial state: nothing examined, no bits taken."""
     lanes = length.shape[0]
     none = jnp.zeros((words, lanes), jnp.uint32)
     return _Walk(
@@ -141,11 +141,11 @@ def _start(length: Array, most: int, words: int) -> _Walk:
 def _next_interval(
     intervals: Intervals, head: Array, length: Array, bits: int, walk: _Walk
 ) -> _Walk:
-    """Give the next interval of each run the bits that nothing before it has."""
+    """Give the next interval of each run the bits that no nearer interval holds."""
     k, done, taken, settled, since, reach, own, lines = walk
     place = jnp.minimum(head + k, intervals.cell.shape[0] - 1)
     here = ~done & (k < length)
-    # Bits taken so far are out of reach if all that took them lie before what comes now.
+    # Bits taken so far are settled if every interval that took them lies in front of this one.
     clear = intervals.nearest[place] >= reach
     settled = jnp.where(clear, taken, settled)
     since, reach = jnp.where(clear, k, since), jnp.where(clear, -jnp.inf, reach)
@@ -164,7 +164,7 @@ def _next_interval(
     taken = taken | mask
     mask, own = jax.lax.fori_loop(first, k, meet, (mask, own))
     own, lines = own.at[k].set(mask), lines.at[k].set(line)
-    # The mask is full, and what comes next lies behind all that has been seen.
+    # Finished: the mask is full, and the next interval lies behind all intervals so far.
     following = intervals.nearest[jnp.minimum(place + 1, intervals.cell.shape[0] - 1)]
     full = jnp.all(taken == jnp.uint32(FULL), axis=0) & (following >= reach)
     done = done | full | (k + 1 >= length)

@@ -26,14 +26,14 @@ POINTS = 4096
 
 
 class View(NamedTuple):
-    """Everything that shading needs to know about a pass.
+    """Inputs that all shading of one pass shares.
 
     Attributes:
-        poses: at the ends of the pieces.
+        poses: poses at the ends of the pieces.
         swept: moving triangles.
         clock: bits against time.
         ray: (3, P) through the sample of every pixel, camera space.
-        spacing: () width of the pixel's share of a sample, as a difference of ray x or y.
+        spacing: () width of a sample's share of the pixel, as a difference of ray x or y.
     """
 
     poses: Pose
@@ -44,13 +44,13 @@ class View(NamedTuple):
 
 
 class _Range(NamedTuple):
-    """A stretch of bits, cut into as many parts as textures are read.
+    """A range of bits, over which textures are read in parts.
 
     Attributes:
-        mask: (W, N) the bits that count.
+        mask: (W, N) bits of the range that count.
         piece: (N,) piece of time.
         start: (N,) first bit.
-        length: (N,) bits up to and with the last.
+        length: (N,) number of bits from the first to the last, both included.
     """
 
     mask: jax.Array
@@ -63,7 +63,7 @@ class _Range(NamedTuple):
         return WORD * self.mask.shape[0]
 
     def moment(self, part: Array | float) -> jax.Array:
-        """Bit at a part of the range, from 0 to 1."""
+        """Return the bit at a fraction of the range, from 0 to 1."""
         return self.start + part * self.length
 
 
@@ -80,15 +80,15 @@ def shade_paths(
     seen: UInt32[Array, "words n"],
     texture_samples: int,
 ) -> Float[Array, "3 pixels"]:
-    """Add up the colors of all intervals and of the sky, by the bits at which they are seen.
+    """Add up the colors of all intervals and of the sky, weighted by their visible bits.
 
     Args:
         world: the arrays of a scene.
-        view: of the pass.
+        view: inputs of the pass.
         intervals: sorted by cell.
-        seen: (W, N) bits at which each is seen.
-        texture_samples: static, most parts of a path; fewer are read where the surface hardly
-            moves under the pixel.
+        seen: (W, N) bits at which each interval is visible.
+        texture_samples: static, largest number of parts of a path; fewer are read where the surface
+            hardly moves under the pixel.
 
     Returns:
         (3, P) linear light.
@@ -118,7 +118,7 @@ def shade_paths(
 def _add_chunks(
     total: Array, masks: Array, color: Callable[[Array, Array], tuple[Array, Array]]
 ) -> Array:
-    """Shade what has bits, `POINTS` at a time, and add it to its pixels."""
+    """Shade the entries with a nonempty mask, `POINTS` at a time, and add them to their pixels."""
     count = masks.shape[1]
     there = jnp.any(masks != 0, axis=0)
     order = jnp.nonzero(there, size=count, fill_value=count - 1)[0].astype(jnp.int32)
@@ -138,7 +138,7 @@ def _add_chunks(
 def _path_color(
     world: World, view: View, owner: Array, pixel: Array, span: _Range, texture_samples: int
 ) -> Array:
-    """Sum over bits of the color (3, N) of surfaces, lit as in the middle of the range."""
+    """Sum the color (3, N) of surfaces over bits; lighting is that of the middle of the range."""
     triangle = owner % world.triangles.shape[0]
     ray = view.ray[:, pixel]
     polynomials = edge_polynomials(view.swept, owner, ray)
@@ -155,7 +155,7 @@ def _path_color(
         return jnp.einsum("in,ixn->xn", jnp.clip(weights, 0.0, 1.0), corners)
 
     def read(start: Array, end: Array) -> Array:
-        # Boxes of the same variance as the pixel's footprint swept along the path.
+        # The box has the variance of the pixel's footprint swept along the path.
         width = jnp.hypot(surface.width, end - start)
         return albedo(copies, own, (start + end) / 2, width)
 
@@ -165,7 +165,7 @@ def _path_color(
 
 
 def _sky_color(world: World, view: View, pixel: Array, span: _Range, texture_samples: int) -> Array:
-    """Sum over bits of the color (3, N) of the sky."""
+    """Sum the color (3, N) of the sky over bits."""
     ray = view.ray[:, pixel]
 
     def direction(part: Array | float) -> Array:
@@ -188,7 +188,7 @@ def _sum_parts(
     steps: Array,
     most: int,
 ) -> Array:
-    """Sum what is read along a path over its parts, weighted by the bits in each."""
+    """Sum the values read in each part of a path, weighted by the number of bits in the part."""
     parts = jnp.clip(jnp.ceil(jnp.max(jnp.where(span.length > 0, steps, 0.0))), 1, most)
 
     def add(j: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

@@ -1,7 +1,7 @@
 """Analytic primitives and the small mesh library of the catalogue.
 
-Texture coordinates are scene units on boxes, planes and extrusions, and turns (0 to 1) around
-spheres, tori and cylinders. Every primitive but `plane` and `sheet` is closed, with outward
+Texture coordinates are in scene units on boxes, planes and extrusions, and in turns (0 to 1) around
+spheres, tori and cylinders. Every primitive except `plane` and `sheet` is closed and has outward
 normals.
 """
 
@@ -90,7 +90,7 @@ def _tube(points: np.ndarray, normals: np.ndarray, wrap_rows: bool) -> Mesh:
     row, column = np.meshgrid(np.arange(last), np.arange(columns), indexing="ij")
     steps = [(0, 0), (0, 1), (1, 1), (1, 0)]
     quads = np.stack([index[(row + a) % rows, (column + b) % columns] for a, b in steps], -1)
-    # Texture coordinates go on past the seam, where the index wraps.
+    # Texture coordinates continue past the seam, where the index wraps.
     texture = np.stack(
         [np.stack([(column + b) / columns, (row + a) / last], -1) for a, b in steps], -2
     )
@@ -124,7 +124,7 @@ def sphere(radius: float = 1.0, segments: int = 32) -> Mesh:
 
 
 def _weld_poles(mesh: Mesh, segments: int) -> Mesh:
-    """Let each pole's ring be one point, and drop the triangles that vanish."""
+    """Merge the ring of points at each pole into one, and drop degenerate triangles."""
     rename = np.arange(len(mesh.points))
     rename[:segments], rename[-segments:] = 0, len(mesh.points) - segments
     kept_points, compact = np.unique(rename, return_inverse=True)
@@ -144,7 +144,7 @@ def torus(radius: float = 1.0, tube: float = 0.3, segments: int = 48, sides: int
     """Make a torus around the z axis.
 
     Args:
-        radius: from the center to the middle of the tube.
+        radius: distance from the center to the middle of the tube.
         tube: radius of the tube.
         segments: quads around the axis.
         sides: quads around the tube.
@@ -228,10 +228,10 @@ def gear(
     """Make a gear around the z axis: a toothed rim (slot 0), spokes and a hub (slot 1).
 
     Args:
-        radius: to the middle of the teeth.
+        radius: radius at the middle of the teeth.
         teeth: number of teeth.
         spokes: number of spokes.
-        thickness: of the rim along z; the spokes are thinner.
+        thickness: thickness of the rim along z; the spokes are thinner.
         tooth: height of a tooth as a share of the radius.
 
     Returns:
@@ -255,9 +255,9 @@ def rotor(radius: float = 1.0, blades: int = 4, width: float = 0.12) -> Mesh:
     """Make a rotor about the y axis: blades (slot 0) with painted tips (slot 1) on a hub (1).
 
     Args:
-        radius: to the tips of the blades.
+        radius: radius at the tips of the blades.
         blades: number of blades.
-        width: of a blade.
+        width: width of a blade.
 
     Returns:
         Closed parts in one mesh.
@@ -298,9 +298,9 @@ def wheel(radius: float = 1.0, spokes: int = 6, width: float = 0.3) -> Mesh:
     """Make a wheel around the z axis: a tire (slot 0), a rim, spokes and a hub (slot 1).
 
     Args:
-        radius: to the tread.
+        radius: radius at the tread.
         spokes: number of spokes.
-        width: of the tire along z.
+        width: width of the tire along z.
 
     Returns:
         Closed parts in one mesh.
@@ -335,7 +335,7 @@ def head(levels: int = 3) -> Mesh:
 
 
 def car(levels: int = 2) -> Mesh:
-    """Make the body of a toy car that drives toward +x, without wheels.
+    """Make the body of a toy car that faces +x, without wheels.
 
     Args:
         levels: Catmull-Clark steps.
@@ -431,7 +431,7 @@ def _catmull_clark(points: np.ndarray, quads: Quads) -> tuple[np.ndarray, Quads]
         np.sort(ends, -1).reshape(-1, 2), axis=0, return_inverse=True, return_counts=True
     )
     if np.any(uses != 2):
-        raise ValueError("`cells` must meet in faces: an edge of the boundary has not two faces.")
+        raise ValueError("`cells` must meet in faces: a boundary edge does not have two faces.")
     of_side = of_side.reshape(-1, 4)
     count, total = len(points), len(edges)
     around_edge = np.zeros((total, 3))

@@ -45,8 +45,8 @@ def room(width: float, height: float, back: float, front: float) -> list[Body]:
     """Build a room with grid walls, open toward the camera.
 
     Args:
-        width: from side to side, around x = 0.
-        height: from the floor at y = 0.
+        width: width, centered on x = 0.
+        height: height above the floor at y = 0.
         back: z of the back wall.
         front: z of the open end.
 
@@ -70,7 +70,7 @@ def room(width: float, height: float, back: float, front: float) -> list[Body]:
 
 
 def crate(name: str, position: Sequence[float], size: float, degrees: float = 0.0) -> Body:
-    """Put a wooden crate on a point: boards with a frame along all edges."""
+    """Place a wooden crate on a point: boards with a frame along all edges."""
     half, beam = size / 2, 0.1 * size
     boards = primitives.box((size, size, size))
     edges = []
@@ -94,7 +94,7 @@ def city(seed: int, blocks: int, spacing: float, tallest: float) -> list[Body]:
     """Build a city: streets with lots, and a house of random height on each lot.
 
     Args:
-        seed: of NumPy's generator.
+        seed: seed of NumPy's generator.
         blocks: lots along each side.
         spacing: between lots, scene units.
         tallest: height of the tallest houses.
@@ -129,8 +129,8 @@ def driving_car(
     """Drive a car with turning wheels.
 
     Args:
-        name: of the car.
-        color: of its body.
+        name: name of the car.
+        color: color of its body.
         position: (3,) point on the ground below its middle at time 0.
         speed: scene units per frame, toward +x turned by `degrees` about the vertical.
         degrees: heading.
@@ -174,7 +174,7 @@ def columns(pairs: int, spacing: float, half_width: float, height: float, first:
         pairs: number of columns in a row.
         spacing: between columns along z.
         half_width: distance of the rows from x = 0.
-        height: of the columns.
+        height: height of the columns.
         first: z of the nearest pair; the others follow toward -z.
 
     Returns:

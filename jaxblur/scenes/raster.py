@@ -1,14 +1,14 @@
-"""Visibility: which triangle is seen through each pixel.
+"""Visibility: the triangle that is seen through each pixel.
 
 Homogeneous rasterization [Olano and Greer 1997]: with the camera-space corners ``v0 v1 v2`` of a
 triangle as columns of M, a ray ``d = (x, y, 1)`` hits it where all ``M^-1 d`` are positive, and
-the sum of ``M^-1 d`` is the inverse depth. Nothing is divided by depth, so that triangles through
-the near plane need no clipping.
+the sum of ``M^-1 d`` is the inverse depth. Nothing is divided by depth, so triangles that cross the
+near plane need no clipping.
 
-Triangles are expanded to rows and rows to fragments, in flat arrays of a capacity that is static
-under jit; the counts needed are returned, so that too small a capacity never goes unseen. An
-edge shared by two triangles gives both the same crossing to the last bit, and a pixel center on
-it belongs to exactly one of them.
+Triangles are expanded to rows, and rows to fragments, in flat arrays whose capacity is static under
+jit. The counts needed are returned, so that the caller notices a capacity that is too small. Two
+triangles that share an edge compute bit-identical crossings for it, and a pixel center on the edge
+belongs to exactly one of them.
 """
 
 import dataclasses
@@ -34,11 +34,11 @@ class Capacity:
 
 
 class Visibility(NamedTuple):
-    """What is seen through each pixel, and the capacity that was needed.
+    """The triangle seen through each pixel, and the capacity needed.
 
     Attributes:
-        triangle: (H, W) int, -1 where nothing is.
-        needed: (2,) int, rows and fragments; the fragments are right only if the rows sufficed.
+        triangle: (H, W) int, -1 where there is none.
+        needed: (2,) int, rows and fragments; the fragment count is valid only if the rows sufficed.
     """
 
     triangle: jax.Array
@@ -48,11 +48,12 @@ class Visibility(NamedTuple):
 class Planes(NamedTuple):
     """Triangles in camera space as linear functions of the ray ``d = (x, y, 1)``.
 
-    The component axis leads: arrays whose last axis is 3 long vectorize badly.
+    The component axis comes first: arrays with a last axis of length 3 vectorize badly.
 
     Attributes:
-        edges: 3 arrays (3, F); an edge's function is ``edges[i] . d``, opposite corner i, with a
-            sign that depends on the order of its ends only, so that neighbors share its bits.
+        edges: 3 arrays (3, F): ``edges[i] . d`` is the function of the edge opposite corner i. Its
+            sign depends only on the order of the edge's point numbers, so that triangles that share
+            the edge compute identical bits.
         inside: 3 arrays (F,) of +1 or -1, the sign of the function inside the triangle.
         inverse_depth: (3, F) ``1/z = inverse_depth . d``.
         drawn: (F,) bool: not degenerate, not behind the camera, not a hidden back face.
@@ -121,7 +122,8 @@ def planes(
         ordered = index[i] < index[j]
         low = jnp.where(ordered, corner[i], corner[j])
         high = jnp.where(ordered, corner[j], corner[i])
-        # low x high, written with the difference: two long, nearly equal vectors lose digits.
+        # low x high, written with the difference: the product of two long, nearly equal vectors
+        # loses precision.
         edges.append(cross(low, high - low))
         inside.append(jnp.where(ordered, side, -side))
     size = dot(corner[0], corner[0]) * dot(normal, normal)
@@ -139,7 +141,7 @@ def row_ranges(
     offset: Float[Array, " 2"],
     size: tuple[int, int],
 ) -> tuple[Int[Array, " triangles"], Int[Array, " triangles"]]:
-    """Find the image rows that a triangle may touch.
+    """Find the image rows that each triangle may touch.
 
     Args:
         points: (V, 3) camera space.
@@ -150,14 +152,14 @@ def row_ranges(
         size: (height, width) of the image.
 
     Returns:
-        First row and number of rows, each (F,) int. All rows for triangles through the near
+        First row and number of rows, each (F,) int; all rows for triangles that cross the near
         plane.
     """
     height, width = size
     x, y, z = points.T[:, triangles.T]
     safe = jnp.maximum(z, NEAR)
     column, row = focal * x / safe + width / 2, focal * y / safe + height / 2
-    # The edge functions decide; a row too many is harmless, and rounding may go either way.
+    # The edge functions decide coverage, so an extra row is harmless; rounding may go either way.
     top = jnp.ceil(jnp.min(row, 0) - 0.5 - offset[1] - ROW_MARGIN)
     bottom = jnp.ceil(jnp.max(row, 0) - 0.5 - offset[1] + ROW_MARGIN)
     first, last = (jnp.clip(edge, 0, height).astype(jnp.int32) for edge in (top, bottom))
@@ -178,8 +180,8 @@ def expand(
         capacity: static length of the list.
 
     Returns:
-        Each item's owner, its number within the owner, whether it is there at all, and the
-        length that was needed.
+        Each item's owner, its number within the owner, whether the item exists, and the length
+        needed.
     """
     ends = jnp.cumsum(counts)
     starts = ends - counts
@@ -200,7 +202,7 @@ def spans(
     """Intersect rows of pixel centers with triangles.
 
     Args:
-        planes: of all triangles.
+        planes: planes of all triangles.
         owner: (R,) triangle of each row.
         row: (R,) image row.
         focal: () pixels.
@@ -222,7 +224,7 @@ def spans(
         upright = slope == 0
         crossing = -value / jnp.where(upright, 1.0, slope) * focal + width / 2 - offset[0]
         column = jnp.ceil(jnp.clip(crossing, -1.0, width + 1.0) - 0.5).astype(jnp.int32)
-        # Along a row the sign of the function alone decides, and zero counts as positive.
+        # An edge along the row: the sign of its function decides, and zero counts as positive.
         outside = upright & ((value >= 0) != (inside > 0))
         end = jnp.where(outside, 0, end)
         first = jnp.where(~upright & (slope * inside > 0), jnp.maximum(first, column), first)
@@ -248,7 +250,7 @@ def covered_rows(
         focal: () pixels.
         offset: (2,) x and y of the sample from the pixel center, pixels, within +-1/2.
         size: static (height, width).
-        capacity: static number of entries; entries beyond it are lost, see `Rows.needed`.
+        capacity: static number of entries; entries beyond it are missing, see `Rows.needed`.
 
     Returns:
         The rows; the number of fragments is the sum of their counts.
@@ -273,7 +275,7 @@ def visible_triangles(
 ) -> Visibility:
     """Find the nearest triangle at every pixel.
 
-    Equal depths go to the triangle with the larger number, so that the result is deterministic.
+    At equal depths the triangle with the larger number wins, so that the result is deterministic.
 
     Args:
         points: (V, 3) camera space.
@@ -285,7 +287,7 @@ def visible_triangles(
         capacity: static sizes; the result is wrong if the counts returned exceed them.
 
     Returns:
-        What is visible, and the counts.
+        The visible triangles, and the counts needed.
     """
     height, width = size
     rows = covered_rows(points, triangles, closed, focal, offset, size, capacity.rows)
@@ -295,7 +297,7 @@ def visible_triangles(
     ray_x = (rows.first + 0.5 + offset[0] - width / 2) / focal
     ray_y = (rows.row + 0.5 + offset[1] - height / 2) / focal
     start = rows.plane[0] * ray_x + rows.plane[1] * ray_y + rows.plane[2]
-    # Materialized once: were it computed twice, rounding could make a pixel lose its winner.
+    # Materialized once: computed twice, it might round differently and leave a pixel no winner.
     inverse_depth = jax.lax.optimization_barrier(
         start[line] + (rows.plane[0] / focal)[line] * along
     )

@@ -1,4 +1,4 @@
-"""Sharp frames with exact buffers: color, depth, velocity, path, object numbers."""
+"""Sharp frames with exact buffers: color, depth, velocity, path, object IDs."""
 
 import functools
 
@@ -30,17 +30,17 @@ def render(
 
     Color is the mean over a fixed set of positions within the pixel, all at `time`. Depth and
     velocity are those of the surface point at the pixel's center: depth is planar, +inf for
-    sky; velocity is half the way, in pixels, that the point goes in the image from
-    ``time - shutter/2`` to ``time + shutter/2`` by its true motion. Sky moves as points at
-    infinity do, with the rotation of the camera. Points behind the camera at an end of the
-    exposure count as on the near plane.
+    sky; velocity is half the point's displacement in the image, in pixels, from ``time -
+    shutter/2`` to ``time + shutter/2`` by its true motion. Sky moves like points at infinity, with
+    the rotation of the camera. Points that are behind the camera at an end of the exposure are
+    treated as if on the near plane.
 
     Args:
-        scene: what to render.
+        scene: scene to render.
         time: frames; the center of the exposure.
-        shutter: frames that the shutter is open; 0 gives zero velocity.
+        shutter: exposure time in frames; 0 gives zero velocity.
         size: (height, width) in pixels.
-        path: whether to give displacements at opening and closing too.
+        path: whether to return the displacements at shutter opening and closing too.
         subpixels: number of positions within a pixel for color.
 
     Returns:
@@ -64,15 +64,15 @@ def render(
 def displacement(
     scene: Scene, time: float = 0.0, step: float = 1.0, size: tuple[int, int] = (180, 320)
 ) -> Float[Array, "height width 2"]:
-    """Find how far the points seen at one time go in the image until another.
+    """Compute the image displacement of the points seen at one time until another time.
 
-    ``step`` 1 and -1 give the vectors to the next and to the previous frame, that is, the full
-    displacement and not a half-spread.
+    ``step`` 1 and -1 give the vectors to the next and to the previous frame. These are full
+    displacements, not half-spreads.
 
     Args:
-        scene: what to look at.
-        time: frames, when the points are seen.
-        step: frames until the other time, may be negative.
+        scene: scene to render.
+        time: frames, the time at which the points are seen.
+        step: frames from there to the other time, may be negative.
         size: (height, width) in pixels.
 
     Returns:
@@ -90,15 +90,15 @@ def displacement(
 def object_ids(
     scene: Scene, time: float = 0.0, size: tuple[int, int] = (180, 320)
 ) -> Int[Array, "height width"]:
-    """Number the object that is seen at every pixel center.
+    """Return the number of the object that is seen at every pixel center.
 
     Args:
-        scene: what to look at.
+        scene: scene to render.
         time: frames.
         size: (height, width) in pixels.
 
     Returns:
-        (H, W) int32 indices of `Scene.object_names`, -1 for sky.
+        (H, W) int32 indices into `Scene.object_names`, -1 for sky.
 
     Raises:
         ValueError: the size is not positive.
@@ -121,17 +121,17 @@ def visible(
 
 
 def check_size(size: tuple[int, int]) -> None:
-    """Refuse sizes that are not two positive numbers.
+    """Check that `size` is two positive numbers.
 
     Raises:
-        ValueError: they are not.
+        ValueError: it is not.
     """
     if len(size) != 2 or min(size) < 1:
         raise ValueError(f"`size` must be (height, width), both at least 1, got {size}.")
 
 
 def check_exposure(shutter: float, size: tuple[int, int]) -> None:
-    """Refuse sizes as `check_size` does, and shutter times below zero.
+    """Check `size` as `check_size` does, and that `shutter` is not negative.
 
     Raises:
         ValueError: one of them is out of range.
@@ -155,7 +155,7 @@ def _visible(
 def _moves(
     world: World, triangle: Array, time: Array, times: Array, size: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Give depth (H, W) at `time` and displacements (H, W, T, 2) to `times` in pixels."""
+    """Return depth (H, W) at `time` and displacements (H, W, T, 2) to `times` in pixels."""
     focal = world.camera.focal * size[1]
     ray = rays(focal, jnp.zeros(2), size)
     flat = triangle.reshape(-1)
@@ -171,7 +171,7 @@ def _moves(
         shift = sum(surface.weights[i] * shift[:, corners[i]] for i in range(3))
         shift = jnp.where(is_sky, turned, shift)
         depth = jnp.where(is_sky, 1.0, surface.depth) + shift[2]
-        # (x + dx)/(z + dz) - x/z in differences: what stays put is at rest to the last bit.
+        # (x + dx)/(z + dz) - x/z in differences: points at rest get exactly zero.
         seen = (shift[:2] - ray[:2] * shift[2]) / jnp.maximum(depth, NEAR)
         return (focal * seen).T.reshape(*size, 2)
 

@@ -32,8 +32,9 @@ class Wave:
         direction: (3,) shift at the wave's crest, object axes, scene units.
         vector: (3,) radians per scene unit along the object's axes.
         rate: radians per frame.
-        anchor: (3,) grows the wave with the distance from the plane where it is held.
-        slack: distance from that plane below which nothing moves.
+        anchor: (3,) normal of the plane in which the body is held; the wave grows with the distance
+            from that plane.
+        slack: distance from that plane within which nothing moves.
     """
 
     direction: Vector
@@ -48,10 +49,10 @@ class Body:
     """A mesh with its materials and motion: one object of a scene.
 
     Attributes:
-        name: what `Scene.object_names` says.
+        name: the object's entry in `Scene.object_names`.
         mesh: the shape.
         material: one material, or one per slot of the mesh.
-        motion: how it moves; still at the origin by default.
+        motion: rigid motion; at rest at the origin by default.
         wave: deformation, or None.
     """
 
@@ -75,7 +76,7 @@ class Light:
         zenith: (3,) sky overhead.
         horizon: (3,) sky at the horizon.
         ground: (3,) sky below the horizon.
-        clouds: () how much the clouds cover, 0 to 1.
+        clouds: () cloud cover, 0 to 1.
     """
 
     toward_sun: jax.Array
@@ -109,7 +110,7 @@ def daylight(
         zenith: sky overhead.
         horizon: sky at the horizon.
         ground: sky below the horizon.
-        clouds: 0 (none) to 1.
+        clouds: cloud cover, 0 to 1.
 
     Returns:
         The light.
@@ -140,15 +141,15 @@ class World:
         triangles: (F, 3) int indices of points.
         triangle_object: (F,) int.
         triangle_material: (F,) int.
-        closed: (F,) bool, back faces are never seen.
-        bends: (F,) bool, normals follow the deformed surface.
+        closed: (F,) bool, whether the back is never seen.
+        bends: (F,) bool, whether normals follow the deformed surface.
         normals: (F, 3, 3) unit corner normals, object space.
         texture: (F, 3, 2) corner texture coordinates.
         motions: leading axis (O,).
         materials: leading axis (M,).
         camera: the camera.
         light: sun, ambient light and sky.
-        noise: texels of `materials.noise_texels`.
+        noise: texels from `materials.noise_texels`.
     """
 
     points: jax.Array
@@ -175,8 +176,8 @@ class Scene:
     """A named world.
 
     Attributes:
-        name: of the scene.
-        object_names: name of object 0, 1, ..; these numbers are what `object_ids` gives.
+        name: name of the scene.
+        object_names: names of objects 0, 1, .., the numbers that `object_ids` returns.
         world: the arrays.
     """
 
@@ -207,8 +208,8 @@ def make_scene(name: str, bodies: Sequence[Body], camera: Camera, light: Light) 
     """Pack bodies, camera and light into a scene.
 
     Args:
-        name: of the scene.
-        bodies: at least one.
+        name: name of the scene.
+        bodies: at least one body.
         camera: the camera.
         light: sun, ambient light and sky.
 
@@ -240,7 +241,7 @@ def make_scene(name: str, bodies: Sequence[Body], camera: Camera, light: Light) 
         "texture": [body.mesh.texture for body in bodies],
     }
     arrays = {key: np.concatenate(column) for key, column in columns.items()}
-    # One length for points and triangles, so that fewer combinations are compiled.
+    # Points and triangles share one length, so that fewer combinations are compiled.
     length = _bucket(max(map(len, arrays.values())), FEWEST_ROWS)
     motions = [body.motion for body in bodies]
     world = World(
@@ -268,7 +269,7 @@ def _wave_arrays(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _palette(bodies: Sequence[Body]) -> tuple[list[Material], list[np.ndarray]]:
-    """Gather the materials of all bodies and each triangle's number among them."""
+    """Collect the materials of all bodies and, per triangle, the index of its material."""
     palette: list[Material] = []
     known: dict[tuple[int, ...], int] = {}
     slots = []
@@ -327,7 +328,7 @@ def pose_at(world: World, time: Float[Array, ""]) -> Pose:
 
 
 def points_at(world: World, time: Float[Array, ""]) -> Float[Array, "points 3"]:
-    """Evaluate where the points are in camera space at one time; see `pose_at`."""
+    """Evaluate the points in camera space at one time; see `pose_at`."""
     return pose_at(world, time).points
 
 

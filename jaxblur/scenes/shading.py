@@ -1,6 +1,6 @@
 """Deferred shading: surface lookup, texture footprints, sun and ambient light, sky.
 
-Points and vectors have their component axis first, (3, N): see `raster.Planes`.
+Points and vectors have their component axis first, (3, N); see `raster.Planes`.
 """
 
 from typing import NamedTuple
@@ -20,12 +20,12 @@ class Surface(NamedTuple):
     """Attributes of surface points, N of them.
 
     Attributes:
-        triangle: (N,) int; -1 where there is sky, with the attributes of triangle 0.
+        triangle: (N,) int; -1 for sky, where the other attributes are those of triangle 0.
         weights: (3, N) perspective-correct barycentric weights of the corners.
         depth: (N,) planar depth, +inf for sky.
         texture: (2, N) texture coordinates.
         width: (2, N) widths of the pixel's footprint along the texture axes.
-        faces_away: (N,) bool, the back of the triangle is seen.
+        faces_away: (N,) bool, whether the back of the triangle is seen.
     """
 
     triangle: jax.Array
@@ -45,9 +45,9 @@ def surface_at(
 ) -> Surface:
     """Intersect rays with the triangles that they are known to hit.
 
-    With the corners as columns of M and ``E = M^-1`` the weights are ``E d / sum(E d)``; both are
-    linear in the ray, so the derivative of the texture coordinates, and with it the footprint,
-    is closed-form.
+    With the corners as columns of M and ``E = M^-1`` the weights are ``E d / sum(E d)``. Numerator
+    and denominator are linear in the ray, so the derivative of the texture coordinates, and with it
+    the footprint, has a closed form.
 
     Args:
         world: the arrays of a scene.
@@ -110,7 +110,7 @@ def irradiance(
     weights: Float[Array, "3 points"],
     faces_away: jax.Array,
 ) -> Float[Array, "3 points"]:
-    """Light that falls on a surface: sun by Lambert's law, ambient by height, and its own glow.
+    """Compute the light on a surface: sun by Lambert's law, ambient light, and its own glow.
 
     Open surfaces are lit on the side that is seen.
 
@@ -119,10 +119,10 @@ def irradiance(
         pose: the world at the time of shading.
         triangle: (N,) not negative.
         weights: (3, N) barycentric weights.
-        faces_away: (N,) bool, the back of the triangle is seen.
+        faces_away: (N,) bool, whether the back of the triangle is seen.
 
     Returns:
-        (3, N) what the albedo is multiplied with, linear light.
+        (3, N) factor for the albedo, linear light.
     """
     corners = pose.normals[triangle].reshape(-1, 9).T
     normal = jnp.einsum("cn,cin->in", weights, corners.reshape(3, 3, -1))
@@ -142,10 +142,10 @@ def sky_color(
     direction: Float[Array, "3 points"],
     spacing: Float[Array, ""],
 ) -> Float[Array, "3 points"]:
-    """Color of the sky: a gradient with clouds, a glow around the sun, and haze below.
+    """Compute the color of the sky: a gradient, clouds, a glow around the sun, haze below.
 
     Args:
-        light: of the scene.
+        light: light of the scene.
         noise: texels of the noise texture.
         direction: (3, N) world axes, any length but zero.
         spacing: () angle of the footprint in radians.
@@ -176,7 +176,7 @@ def shade(
     ray: Float[Array, "3 points"],
     spacing: Float[Array, ""],
 ) -> Float[Array, "3 points"]:
-    """Color of what each ray hits, or of the sky.
+    """Compute the color of the surface that each ray hits, or of the sky.
 
     Args:
         world: the arrays of a scene.
@@ -197,5 +197,5 @@ def shade(
         direction = pose.camera_rotation @ ray
         return jnp.where(is_sky, sky_color(world.light, world.noise, direction, spacing), color)
 
-    # Many scenes fill the frame, and clouds cost eight texel reads a pixel.
+    # Many scenes show no sky, and clouds cost eight texel reads per pixel.
     return jax.lax.cond(jnp.any(is_sky), with_sky, lambda: color)

@@ -1,6 +1,6 @@
-"""Shutter functions: how much light passes, as a curve from opening to closing.
+"""Shutter functions: transmission as a curve from opening to closing.
 
-A curve holds transmission at evenly spaced moments and is linear in between, so that box,
+A curve holds the transmission at evenly spaced times and is linear in between, so that box,
 triangle and trapezoid are exact. Positions are in shutter units: -1/2 at opening, 1/2 at closing.
 """
 
@@ -31,11 +31,11 @@ PLACEMENTS = {"centered": 0.0, "leading": 0.5, "trailing": -0.5}
 
 
 def shutter_curve(shutter_function: ShutterFunction = "box") -> Float[np.ndarray, " points"]:
-    """Give a shutter function as a curve of mean 1.
+    """Return a shutter function as a curve of mean 1.
 
-    ``box`` opens and closes at once. ``trapezoid`` is a mechanical shutter that opens and closes
-    for a quarter of the time each [Navarro 2012, 4.3.8]. ``triangle`` is a rotating disc as wide
-    as its window. ``gaussian`` has a standard deviation of a sixth of the shutter time.
+    ``box`` opens and closes at once. ``trapezoid`` is a mechanical shutter that takes a quarter of
+    the time to open and a quarter to close [Navarro 2012, 4.3.8]. ``triangle`` is a rotating disc
+    as wide as its window. ``gaussian`` has a standard deviation of a sixth of the shutter time.
 
     Args:
         shutter_function: one of these names, or a sampled curve: at least two values, evenly
@@ -68,12 +68,12 @@ def shutter_curve(shutter_function: ShutterFunction = "box") -> Float[np.ndarray
 def exposure_positions(
     curve: Float[np.ndarray, " points"], samples: int
 ) -> Float[np.ndarray, " samples"]:
-    """Place equal-weight samples by the curve: the middles of `samples` shares of its light.
+    """Place equal-weight samples at the middles of `samples` equal shares of the light.
 
     Inverts the integral of the curve, which is quadratic between two points.
 
     Args:
-        curve: of mean 1, from `shutter_curve`.
+        curve: curve of mean 1, from `shutter_curve`.
         samples: number of samples.
 
     Returns:
@@ -86,7 +86,7 @@ def exposure_positions(
     segment = np.clip(np.searchsorted(light, wanted, side="right") - 1, 0, len(areas) - 1)
     low, rise = curve[segment], (curve[segment + 1] - curve[segment]) / step
     rest = wanted - light[segment]
-    # The root of rise/2 x^2 + low x = rest in the form that holds for rise = 0 too.
+    # The root of rise/2 x^2 + low x = rest, in the form that also holds for rise = 0.
     x = 2 * rest / np.maximum(low + np.sqrt(np.maximum(low**2 + 2 * rise * rest, 0)), 1e-300)
     return -0.5 + segment * step + np.clip(x, 0, step)
 
@@ -96,7 +96,7 @@ def exposure_center(time: float, shutter: float, placement: str) -> float:
 
     Args:
         time: frames.
-        shutter: frames that the shutter is open.
+        shutter: exposure time in frames.
         placement: "centered" on `time`, "leading" (opens at `time`) or "trailing" (closes then).
 
     Returns:

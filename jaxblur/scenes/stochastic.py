@@ -1,4 +1,4 @@
-"""Stochastic rasterization: every pixel sees the scene at random times of its own."""
+"""Stochastic rasterization: every pixel samples the scene at its own random times."""
 
 import functools
 from typing import NamedTuple
@@ -38,20 +38,20 @@ from .swept import (
 PATH_TOLERANCE = 0.1
 CANDIDATES = 16384
 STRATA_PER_SWEEP = 16
-"""Strata that share one set of moving triangles: the longer the sweep, the more candidates."""
+"""Most strata that share a set of moving triangles: longer sweeps mean more candidates."""
 REACH = 0.5
 GROUP_BLOCK = 64
 SAMPLE_BLOCK = 1024
 
 
 class Strata(NamedTuple):
-    """How the exposure is divided among the samples.
+    """The division of the exposure among the samples.
 
-    Arrays are padded, so that the number of samples does not recompile anything.
+    Arrays are padded, so that another number of samples compiles nothing new.
 
     Attributes:
-        light: (G, Q + 1) share of the light at the ends of the pieces of time of each group of
-            strata; groups of several strata have one piece.
+        light: (G, Q + 1) share of the light at which the pieces of time of each group of strata
+            begin and end; groups of several strata have one piece.
         groups: () number of groups.
         size: () number of strata in a group; the last one may have fewer.
         samples: () number of strata.
@@ -74,7 +74,7 @@ class Strata(NamedTuple):
 
 
 class _Sweeps(NamedTuple):
-    """What the strata of a group share: keys, poses there, moving triangles and their rows."""
+    """Data that the strata of a group share: keys, poses, moving triangles and their rows."""
 
     keys: jax.Array
     poses: Pose
@@ -86,8 +86,8 @@ class Seen(NamedTuple):
     """The nearest surface of every pixel so far, P of them.
 
     Attributes:
-        nearest: (P + 1,) inverse depth, 0 where nothing is; the last one is no pixel.
-        owner: (P + 1,) swept triangle, -1 where nothing is.
+        nearest: (P + 1,) inverse depth, 0 where there is no surface; the last entry is not a pixel.
+        owner: (P + 1,) swept triangle, -1 where there is no surface.
     """
 
     nearest: jax.Array
@@ -107,27 +107,27 @@ def stochastic(
 ) -> Float[Array, "height width 3"]:
     """Render a motion-blurred image from a few random samples per pixel.
 
-    The light that the shutter lets through is divided into `samples` equal strata. In each of
-    them every pixel has a time of its own, uniformly random within the stratum, and a place of
-    its own within the pixel: a point of the Halton sequence, shifted by a random vector per pixel.
-    Coverage is analytic: the edge functions of the moving triangles are evaluated at the pixel's
-    own time, and the surface that is nearest then is shaded at that time. Errors show as noise
-    and not as ghosts, and the mean over seeds is the true image.
+    The light that the shutter lets through is divided into `samples` equal strata. In each of them
+    every pixel has its own time, uniformly random within the stratum, and its own subpixel
+    position: a point of the Halton sequence, shifted by a random vector per pixel. Coverage is
+    analytic: the edge functions of the moving triangles are evaluated at the pixel's own time, and
+    the nearest surface is shaded at that time. Errors appear as noise, not as ghosts, and the
+    expected value over seeds is the true image.
 
-    Corners move along straight lines in camera space through one or several strata. The exposure
-    is cut into so many pieces (64 at most) that this misses the true path by a tenth of a pixel at
-    most; for linear motion it is exact. Samples are added up one after the other;
-    memory does not depend on their number.
+    Corners move along straight lines in camera space through one or several strata. The exposure is
+    cut into enough pieces (64 at most) to keep these lines within a tenth of a pixel of the true
+    paths; for linear motion they are exact. Samples are accumulated one at a time, so memory does
+    not depend on their number.
 
     Args:
-        scene: what to render.
+        scene: scene to render.
         time: frames.
-        shutter: frames that the shutter is open; 0 gives the sharp image.
+        shutter: exposure time in frames; 0 gives the sharp image.
         samples: number of samples per pixel.
         size: (height, width) in pixels.
         shutter_function: "box", "trapezoid", "triangle", "gaussian" or a sampled curve; see
             `shutter.shutter_curve`.
-        seed: of the random numbers; the same seed gives the same image.
+        seed: seed of the random numbers; the same seed gives the same image.
         placement: "centered", "leading" or "trailing"; see `accumulation.accumulate`.
 
     Returns:
@@ -137,8 +137,8 @@ def stochastic(
         ValueError: an argument is out of range.
 
     Source: Cook, Porter and Carpenter 1984; McGuire, Enderton, Shirley and Luebke 2010, after
-    Hong and Oh 2017, section 3.1: here with the convex hull of the moving triangle per image row
-    as the bound, and one time per pixel and stratum.
+    Hong and Oh 2017, section 3.1. Here the bound is the convex hull of the moving triangle per
+    image row, and there is one time per pixel and stratum.
     """
     check_exposure(shutter, size)
     if samples < 1:
@@ -170,15 +170,15 @@ def stochastic(
 
 
 def _padded(values: np.ndarray, block: int) -> Array:
-    """Fill up the leading axis to whole blocks."""
+    """Pad the leading axis to whole blocks."""
     return jnp.asarray(np.pad(values, [(0, -len(values) % block), (0, 0)]), jnp.float32)
 
 
 def _halton(count: int) -> np.ndarray:
-    """Points (count, 2) of the Halton sequence in bases 2 and 3.
+    """Return points (count, 2) of the Halton sequence in bases 2 and 3.
 
-    With the number of the stratum as third coordinate these are Hammersley points. A lattice
-    such as R2 would do as well, but for some speeds and numbers of samples it resonates.
+    With the number of the stratum as third coordinate these are Hammersley points. A lattice such
+    as R2 would also work, but it resonates at some speeds and numbers of samples.
     """
     number, axes = np.arange(count), []
     for base in (2, 3):
@@ -193,7 +193,7 @@ def _halton(count: int) -> np.ndarray:
 def _group(
     world: World, strata: Strata, index: Array, size: tuple[int, int]
 ) -> tuple[Array, Pose, Swept]:
-    """Positions of a group's keys in the exposure, poses there, and moving triangles."""
+    """Return the positions of a group's keys in the exposure, their poses, and moving triangles."""
     keys = position_at(strata.table, strata.light[index])
     poses = key_poses(world, strata.center + strata.shutter * keys)
     focal = world.camera.focal * size[1]
@@ -213,7 +213,7 @@ def _most_rows(world: World, strata: Strata, size: tuple[int, int]) -> Array:
 def _mean(
     world: World, strata: Strata, size: tuple[int, int], capacity: int
 ) -> tuple[Array, Array]:
-    """Give the mean over the strata, and the most rows that a group needed."""
+    """Return the mean over the strata, and the largest number of rows that a group needed."""
     key = jax.random.key(strata.seed)
     shift = jax.random.uniform(key, (2, size[0] * size[1]))
 
@@ -246,7 +246,7 @@ def _sample(
     key: Array,
     size: tuple[int, int],
 ) -> Array:
-    """Color (3, P) of one sample per pixel."""
+    """Compute the color (3, P) of one sample per pixel."""
     keys, poses, swept, rows = sweeps
     jitter = jax.random.uniform(jax.random.fold_in(key, index), shift.shape[1:])
     position = position_at(strata.table, (index + jitter) / strata.samples)
@@ -267,7 +267,7 @@ def _sample(
 
 
 def _rays(focal: Array, offset: Array, size: tuple[int, int]) -> Array:
-    """Rays (3, P) through a place of its own in every pixel."""
+    """Make rays (3, P) through each pixel's own subpixel position."""
     height, width = size
     row, column = jnp.divmod(jnp.arange(height * width), width)
     x = (column + 0.5 + offset[0] - width / 2) / focal
@@ -298,7 +298,7 @@ def _nearest(
         real &= piece[pixel] == owner // triangles
         covered, depth = _hit(swept, owner, ray[:, pixel], share[pixel])
         pixel = jnp.where(real & covered, pixel, pixels)
-        # Materialized once: were it computed twice, rounding could lose a pixel its winner.
+        # Materialized once: computed twice, it might round differently and leave a pixel no winner.
         inverse = jax.lax.optimization_barrier(1.0 / jnp.where(covered, depth, 1.0))
         nearest = seen.nearest.at[pixel].max(inverse)
         wins = jnp.where(inverse == nearest[pixel], pixel, pixels)
@@ -310,7 +310,7 @@ def _nearest(
 
 
 def _hit(swept: Swept, owner: Array, ray: Array, share: Array) -> tuple[Array, Array]:
-    """Whether rays hit moving triangles at a time in the piece, and the depth where they do."""
+    """Test whether rays hit moving triangles at a time in the piece; return the depths too."""
     values = edge_values(edge_polynomials(swept, owner, ray), share)
     forward = swept.forward[:, owner]
     agrees = (values < 0) == forward

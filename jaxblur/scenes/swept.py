@@ -2,8 +2,8 @@
 
 While the corners of a triangle move linearly in camera space, the edge function
 ``(low(s) x high(s)) . d`` of a fixed ray d is **quadratic** in the time s of the piece [Gribel,
-Doggett and Akenine-Moller 2010]. Nothing is divided by depth, so perspective is exact and
-triangles through the near plane need no clipping.
+Doggett and Akenine-Moller 2010]. Nothing is divided by depth, so perspective is exact, and
+triangles that cross the near plane need no clipping.
 """
 
 import itertools
@@ -18,26 +18,26 @@ from .raster import cross, dot, expand
 from .scene import NEAR
 
 MARGIN = 1e-3
-"""Pixels by which a swept area is enlarged: coverage decides, a candidate too many is harmless."""
+"""Pixels by which a swept area is enlarged: coverage is tested later, so extras are harmless."""
 
 PAIRS = np.array(list(itertools.combinations(range(6), 2))).T
-"""All pairs of the six corners at both ends: every side of their convex hull is among them."""
+"""All pairs of the six corners at both ends; they include every side of the convex hull."""
 
 
 class Swept(NamedTuple):
     """Triangles over pieces of time, N = pieces x triangles, piece by piece.
 
     Attributes:
-        edges: (3, 3, 3, N) coefficients of 1, s, s^2 of the edge opposite corner i, by
-            component of the ray; the sign depends on the order of the edge's ends only, so that
-            neighbors share its bits.
+        edges: (3, 3, 3, N) coefficients of 1, s, s^2 of the edge opposite corner i, by component of
+            the ray. The sign depends only on the order of the edge's point numbers, so that
+            triangles that share the edge compute identical bits.
         forward: (3, N) bool, whether the triangle runs along the edge in that order.
         depth: (2, 3, N) of the corners at start and end.
         outline: (2, 6, N) x and y in pixels of the corners at start and end.
-        bounds: (2, 2, N) smallest and largest x and y in pixels of what is before the near plane.
-        crosses: (N,) bool, a corner is behind the near plane at start or end.
+        bounds: (2, 2, N) smallest and largest x and y in pixels of the part beyond the near plane.
+        crosses: (N,) bool, whether a corner is behind the near plane at start or end.
         drawn: (N,) bool: not degenerate, not always behind, not always a hidden back face.
-        closed: (N,) bool, the back is never seen.
+        closed: (N,) bool, whether the back is never seen.
     """
 
     edges: jax.Array
@@ -51,14 +51,14 @@ class Swept(NamedTuple):
 
 
 class SweptRows(NamedTuple):
-    """Stretches of image rows that swept triangles may touch.
+    """Spans of image rows that swept triangles may touch.
 
     Attributes:
         owner: (R,) swept triangle.
         row: (R,) image row.
         first: (R,) first column.
-        ends: (R,) number of candidate pixels up to and with this row.
-        needed: () rows needed; what lies beyond the capacity is missing.
+        ends: (R,) number of candidate pixels up to and including this row.
+        needed: () rows needed; rows beyond the capacity are missing.
     """
 
     owner: jax.Array
@@ -117,7 +117,8 @@ def sweep(
     drawn &= jnp.any(depth > NEAR, axis=(0, 1))
     bounds = _clipped_bounds(ends, focal, size)
     crosses = jnp.any(depth <= NEAR, axis=(0, 1))
-    # Done once: fused into its many readers it would be computed, and compiled, in each of them.
+    # The barrier prevents fusion into the many consumers, each of which would compile and compute
+    # it again.
     return jax.lax.optimization_barrier(
         Swept(edges, forward, depth, outline, bounds, crosses, drawn, shut)
     )
@@ -130,7 +131,7 @@ def _image_points(points: Array, focal: Array, size: tuple[int, int]) -> Array:
 
 
 def _clipped_bounds(ends: Array, focal: Array, size: tuple[int, int]) -> Array:
-    """Box (2, 2, N) around the image of the hull of six points, cut off at the near plane."""
+    """Bound the image of the hull of six points, clipped at the near plane: boxes (2, 2, N)."""
     first, second = ends[:, PAIRS[0]], ends[:, PAIRS[1]]
 
     def cut(point: Array, other: Array) -> Array:
@@ -146,7 +147,7 @@ def _clipped_bounds(ends: Array, focal: Array, size: tuple[int, int]) -> Array:
 
 
 def _edge(low: Array, along: Array, low_shift: Array, along_shift: Array) -> Array:
-    """Coefficients of ``low(s) x along(s)``: differences, as two long vectors lose digits."""
+    """Expand ``low(s) x along(s)``; differences, as products of long vectors lose precision."""
     return jnp.stack(
         [
             cross(low, along),
@@ -157,7 +158,7 @@ def _edge(low: Array, along: Array, low_shift: Array, along_shift: Array) -> Arr
 
 
 def _always_faces_away(edge: Array, forward: Array, corner: Array, shift: Array) -> Array:
-    """Whether the volume, a cubic in s, is positive throughout: so its Bernstein form is."""
+    """Test whether the volume, a cubic in s, stays positive, by its Bernstein coefficients."""
     sign = jnp.where(forward, 1.0, -1.0)
     v0, v1 = dot(corner, edge[0]), dot(corner, edge[1]) + dot(shift, edge[0])
     v2, v3 = dot(corner, edge[2]) + dot(shift, edge[1]), dot(shift, edge[2])
@@ -177,7 +178,7 @@ def swept_rows(
     Args:
         swept: moving triangles.
         offset: (2,) x and y of the samples from the pixel center, pixels.
-        reach: how far samples may lie from there in x and in y, pixels.
+        reach: largest distance of samples from there in x and in y, pixels.
         size: (height, width).
         capacity: static length of the list.
 
@@ -216,7 +217,7 @@ def row_counts(
 
 
 def _hull_span(outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Leftmost and rightmost x of the hull of six points in a band of y."""
+    """Find the leftmost and rightmost x of the hull of six points in a band of y."""
     (x0, x1), (y0, y1) = outline[0][PAIRS], outline[1][PAIRS]
     rise = y1 - y0
     level = rise == 0
@@ -238,12 +239,12 @@ def candidates(
     """List a run of candidates: pairs of a swept triangle and a pixel.
 
     Args:
-        rows: of all swept triangles.
+        rows: rows of all swept triangles.
         first: () number of the first candidate.
         count: static length of the run.
 
     Returns:
-        Swept triangle, row, column and whether the candidate is there at all, each (count,).
+        Swept triangle, row, column and whether the candidate exists, each (count,).
     """
     number = first + jnp.arange(count, dtype=jnp.int32)
     line = jnp.searchsorted(rows.ends, number, side="right")
@@ -260,7 +261,7 @@ def candidates(
 def edge_polynomials(
     swept: Swept, owner: Int[Array, " points"], ray: Float[Array, "3 points"]
 ) -> Float[Array, "3 3 points"]:
-    """Edge functions of given rays as polynomials in time.
+    """Compute the edge functions of given rays as polynomials in time.
 
     Args:
         swept: moving triangles.
@@ -296,6 +297,6 @@ def depth_at(
     weights: Float[Array, "3 points"],
     share: Float[Array, " points"],
 ) -> Float[Array, " points"]:
-    """Planar depth of the point with given corner weights at a time in the piece."""
+    """Compute the planar depth of the point with given corner weights at a time in the piece."""
     start, end = swept.depth[:, :, owner]
     return jnp.sum(weights * (start + share * (end - start)), axis=0)

@@ -1,13 +1,13 @@
-"""Sequences of frames: names, what is to be done, and who does it.
+"""Sequences of frames: file names, plans, and execution in one or many processes.
 
-A sequence is a list of `Job`, one a frame. `plan_jobs` decides before any work what becomes of
-each frame, by what is on the disk: outputs carry a digest of everything that made them
-(`digest`), so that a run that was interrupted at any moment goes on where it stopped, and outputs
-made in another way are never taken for its own. Jobs are independent of each other and may be
-done twice: a file appears under its name only when it is whole.
+A sequence is a list of `Job`, one per frame. Before any work, `plan_jobs` chooses the action for
+each frame from the files on disk: outputs carry a digest of all choices that made them (`digest`),
+so that a run that was interrupted at any moment continues where it stopped, and never mistakes
+outputs made in another way for its own. Jobs are independent of each other and may run twice: a
+file appears under its name only when it is complete.
 
 Jobs pass through the same `Stage`s wherever they run: `run_pipeline` overlaps reading, computing
-and writing in one process, `run_cluster` hands frames to the workers of a Dask cluster.
+and writing in one process, `run_cluster` sends frames to the workers of a Dask cluster.
 """
 
 from .cluster import run_cluster as run_cluster

@@ -1,8 +1,8 @@
-"""Jobs on the workers of a Dask cluster: other processes, or other machines.
+"""Jobs on the workers of a Dask cluster, in other processes or on other machines.
 
-The workers see the files under the same names as this process and have the same jaxblur. A worker
-that dies takes nothing with it: what it had in work is given to another one, and a job that is
-done twice writes the same file twice, each time whole or not at all.
+The workers must see the files under the same names as this process and have the same version of
+jaxblur. If a worker dies, its jobs are given to another one; a job that runs twice writes the same
+file twice, each time completely or not at all.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from .pipeline import Outcome, Stage, run_stages
 LOG = logging.getLogger("jaxblur")
 LOCAL = "local"
 CONNECT_SECONDS = 5
-# No limit of memory: a worker near it would be paused, then killed.
+# No memory limit, because a worker near it would be paused and then killed.
 LOCAL_OPTIONS: dict[str, Any] = {
     "threads_per_worker": 1,
     "memory_limit": None,
@@ -33,17 +33,17 @@ LOCAL_OPTIONS: dict[str, Any] = {
 def run_cluster(
     jobs: Iterable[Job], stages: Sequence[Stage], scheduler: str, workers: int = 2
 ) -> Generator[Outcome, None, None]:
-    """Take jobs through stages on the workers of a Dask cluster, each job on one worker.
+    """Run the stages of jobs on the workers of a Dask cluster, each job on one worker.
 
     Args:
-        jobs: the jobs; paths that every worker can use.
-        stages: in order; their functions must bear to be pickled.
+        jobs: the jobs; every worker must be able to use their paths.
+        stages: stages in order; their functions must be picklable.
         scheduler: ``local`` for processes on this machine, or the address of a scheduler, such
             as ``tcp://farm:8786``.
         workers: number of local processes.
 
     Yields:
-        Outcomes, as they come about. When the iterator is closed early, nothing else is begun.
+        Outcomes in order of completion. If the iterator is closed early, no further job is started.
 
     Raises:
         ValueError: Dask is not installed, or the scheduler does not answer.
@@ -66,12 +66,12 @@ def run_cluster(
 
 
 def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
-    """Run a job on a worker, and collect what it logs.
+    """Run a job on a worker, and collect its log messages.
 
     Args:
         job: the job.
-        stages: in order.
-        version: of jaxblur where the job comes from.
+        stages: stages in order.
+        version: version of jaxblur in the process that submitted the job.
 
     Returns:
         The outcome, with the messages.
@@ -81,7 +81,7 @@ def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
     """
     if version != jaxblur.__version__:
         raise RuntimeError(
-            f"a worker has jaxblur {jaxblur.__version__}, not {version}; install the same."
+            f"a worker has jaxblur {jaxblur.__version__}, not {version}; install the same version."
         )
     with _messages() as messages:
         outcome = run_stages(job, stages)

@@ -1,15 +1,15 @@
-"""Camera cuts: frames whose vectors have nothing to do with those of their neighbors."""
+"""Camera cuts: frames whose vectors are far longer than those of neighboring frames."""
 
 import dataclasses
 import statistics
 from collections.abc import Mapping
 
 REACH = 3
-"""Neighbors to either side that a frame is held against."""
+"""Number of neighbors on either side with which a frame is compared."""
 FACTOR = 4.0
-"""How many times as fast as its neighbors an outlier is."""
+"""Ratio of an outlier's speed to that of its neighbors."""
 SLOWEST = 2.0
-"""Pixels of mean half-spread below which nothing is an outlier."""
+"""Mean half-spread in pixels up to which no frame is an outlier."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Cut:
     Attributes:
         frame: its number.
         speed: mean half-spread of its vectors in pixels.
-        usual: median of that of its neighbors.
+        usual: median of the same over its neighbors.
     """
 
     frame: int
@@ -30,10 +30,10 @@ class Cut:
 def find_cuts(speeds: Mapping[int, float]) -> list[Cut]:
     """Find frames that move far more than the frames around them.
 
-    At a cut between cameras a renderer takes the change of the picture for motion: the vectors
-    of one or both frames at the cut are as long as the picture is wide. An outlier is
-    `FACTOR` times as fast as the median of the `REACH` frames before and after it, which is not
-    moved by a second outlier beside it, and faster than `SLOWEST`.
+    At a cut between cameras a renderer mistakes the change of the picture for motion: the vectors
+    of one or both frames at the cut are as long as the picture is wide. An outlier is more than
+    `FACTOR` times as fast as the median of the `REACH` frames before and after it, which a second
+    outlier beside it hardly changes, and faster than `SLOWEST`.
 
     Args:
         speeds: mean half-spread of the vectors in pixels, by frame.

@@ -1,4 +1,4 @@
-"""What is to be done with each frame, decided by what is on the disk before any work."""
+"""The action for each frame, chosen before any work from the files on disk."""
 
 import dataclasses
 import hashlib
@@ -17,7 +17,7 @@ Action = Literal["blur", "pass", "keep", "missing", "refuse"]
 DIGEST = "jaxblur:digest"
 """Header attribute: `digest` of all choices that made the file."""
 INPUT_STATE = "jaxblur:input_state"
-"""Header attribute: size and time of change of every input, as `input_state` gives it."""
+"""Header attribute: size and modification time of every input, from `input_state`."""
 MEAN_SPEED = "jaxblur:mean_speed"
 """Header attribute: mean half-spread of the frame's vectors in pixels, for `find_cuts`."""
 
@@ -30,13 +30,13 @@ class Job:
 
     Attributes:
         frame: its number.
-        inputs: files that it is made from, by what they are for.
+        inputs: input files by role.
         outputs: files to write.
-        action: ``blur`` it, ``pass`` it through unblurred, ``keep`` outputs that are as this run
-            would make them; inputs are ``missing``; ``refuse`` to replace what is there.
-        reason: why, in words.
-        marks: what to write into the header of the outputs.
-        mean_speed: as found in outputs that are kept, or None.
+        action: ``blur`` the frame; ``pass`` it through unblurred; ``keep`` outputs
+            that equal those of this run; ``missing`` inputs; ``refuse`` to replace existing files.
+        reason: reason for the action, in words.
+        marks: attributes for the header of the outputs.
+        mean_speed: mean speed stored in outputs that are kept, or None.
     """
 
     frame: int
@@ -53,22 +53,22 @@ class Plan:
     """All frames of a run.
 
     Attributes:
-        jobs: in the order of the frames asked for.
+        jobs: jobs in the order of the requested frames.
     """
 
     jobs: tuple[Job, ...]
 
     def with_action(self, *actions: Action) -> list[Job]:
-        """The jobs with one of some actions."""
+        """Return the jobs that have one of the actions."""
         return [job for job in self.jobs if job.action in actions]
 
 
 def digest(choices: Mapping[str, Any]) -> str:
-    """Digest choices, so that files made by the same ones can be told.
+    """Hash choices, so that files made with equal choices can be recognized.
 
     Args:
-        choices: what determines an output besides the input; values that JSON or ``str`` can
-            spell out.
+        choices: everything but the inputs that determines an output; values that JSON or ``str``
+            can represent.
 
     Returns:
         32 hexadecimal digits, the same for equal choices in any order.
@@ -78,7 +78,7 @@ def digest(choices: Mapping[str, Any]) -> str:
 
 
 def input_state(inputs: Mapping[str, pathlib.Path]) -> str:
-    """Spell out size and time of change of files, which change when they are written again.
+    """Describe files by size and modification time, which change when they are written again.
 
     Args:
         inputs: existing files.
@@ -102,20 +102,20 @@ def plan_jobs(
     overwrite: bool = False,
     cuts: Collection[int] = (),
 ) -> Plan:
-    """Decide what becomes of each frame; only headers are read.
+    """Choose the action for each frame; only headers are read.
 
     Args:
         frames: numbers of the frames.
-        sources: where the inputs are, by what they are for: sequences, or single files.
-        outputs: names of the files to write, one or several a frame.
-        choices: what determines an output besides its inputs, see `digest`.
-        overwrite: replace outputs, whatever they are.
+        sources: names of the inputs by role: sequences, or single files.
+        outputs: names of the files to write, one or several per frame.
+        choices: everything but the inputs that determines an output; see `digest`.
+        overwrite: replace existing files at the outputs, whatever they are.
         cuts: frames to pass through unblurred.
 
     Returns:
-        The plan. Outputs are kept if they were made by the same choices from inputs that have
-        not changed since; made again if the inputs have changed; anything else in the place of
-        an output is refused.
+        The plan. Outputs are kept if they were made with the same choices from inputs that have not
+        changed since, and made again if the inputs have changed. Any other existing file at an
+        output is refused.
 
     Raises:
         JaxblurIOError: an output is one of the inputs.
@@ -142,7 +142,8 @@ def _plan_job(
     missing = [str(path) for path in inputs.values() if not path.is_file()]
     if missing:
         return Job(frame, inputs, files, "missing", f"{missing[0]}: no such file", {})
-    # Taken before the file is read: an input that changes meanwhile is found out by the next run.
+    # Recorded before the file is read, so that the next run notices an input that changes
+    # meanwhile.
     marks = {DIGEST: digest(choices), INPUT_STATE: _state_of(inputs)}
     job = Job(frame, inputs, files, "pass" if choices["pass"] else "blur", "new", marks)
     present = [file for file in files if os.path.lexists(file)]
@@ -154,12 +155,12 @@ def _plan_job(
 
 
 def _state_of(inputs: Mapping[str, pathlib.Path]) -> str:
-    """The truth is no input: it changes scores, not pixels."""
+    """Describe all inputs except the truth, which affects scores but not pixels."""
     return input_state({role: path for role, path in inputs.items() if role != "truth"})
 
 
 def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
-    """Hold the outputs that are there against what this run would write."""
+    """Compare existing outputs with those that this run would write."""
     found = {file: _marks_in(file) for file in present}
     for file, marks in found.items():
         if marks.get(DIGEST) != job.marks[DIGEST]:
@@ -181,7 +182,7 @@ def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
 
 
 def _marks_in(path: pathlib.Path) -> dict[str, Any]:
-    """The attributes of a file; none if it is not an image."""
+    """Return the attributes of a file; none if it is not an image."""
     try:
         parts = exr.inspect(path).parts
     except exr.JaxblurIOError:

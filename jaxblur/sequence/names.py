@@ -1,4 +1,4 @@
-"""Names of sequences: ``beauty.####.exr``, ``beauty.%04d.exr``, and frames such as 1001-1240x2."""
+"""Names of sequences, such as ``beauty.####.exr``, and lists of frames, such as 1001-1240x2."""
 
 import dataclasses
 import itertools
@@ -18,10 +18,10 @@ class FrameNames:
     """File names of a sequence.
 
     Attributes:
-        pattern: as it was given, for messages.
+        pattern: the pattern as given, for messages.
         before: path up to the frame number.
-        digits: of the frame number, at least; padded with zeros.
-        after: what follows the frame number.
+        digits: minimum number of digits of the frame number, padded with zeros.
+        after: rest of the path after the frame number.
     """
 
     pattern: str
@@ -30,18 +30,18 @@ class FrameNames:
     after: str
 
     def path(self, frame: int) -> pathlib.Path:
-        """Name the file of a frame."""
+        """Return the path of a frame's file."""
         return pathlib.Path(f"{self.before}{frame:0{self.digits}d}{self.after}")
 
     def with_suffix(self, suffix: str) -> "FrameNames":
-        """The same names with another extension."""
+        """Return the same names with another extension."""
         return dataclasses.replace(self, after=self.after.rpartition(".")[0] + suffix)
 
     def frames_on_disk(self) -> list[int]:
-        """List the frames that are there, in order.
+        """List the frames that exist on disk, in order.
 
         Returns:
-            Their numbers; files whose number is padded otherwise are not of this sequence.
+            Their numbers; files whose numbers are padded differently do not belong to the sequence.
 
         Raises:
             OSError: the folder cannot be listed.
@@ -51,7 +51,7 @@ class FrameNames:
         )
 
     def other_padding(self) -> str | None:
-        """A file that differs from this sequence in the padding alone, or None."""
+        """Return the name of a file that differs from the sequence only in padding, or None."""
         names = [name for n, name in self._numbered_files() if self.path(n).name != name]
         return min(names, default=None)
 
@@ -64,9 +64,9 @@ class FrameNames:
 
 
 def has_frame_number(path: PathLike) -> bool:
-    """Tell whether a file name holds a place for the frame number.
+    """Return whether a file name has a placeholder for the frame number.
 
-    A file of just that name, ``#`` and all, is a file and no sequence.
+    If a file of exactly that name exists, placeholder included, it is a single file.
     """
     return bool(_PLACEHOLDER.search(os.path.basename(path))) and not os.path.exists(path)
 
@@ -74,16 +74,16 @@ def has_frame_number(path: PathLike) -> bool:
 def parse_names(path: PathLike) -> FrameNames:
     """Parse names such as ``shots/beauty.####.exr``, ``%04d``, ``@@@@`` or ``$F4``.
 
-    Two or more ``#`` stand for as many digits, a single one for four, as oiiotool reads it.
+    Two or more ``#`` stand for as many digits, a single one for four, as in oiiotool.
 
     Args:
-        path: file name with a place for the frame number; folders are taken as they are.
+        path: file name with a placeholder for the frame number; folder names are not parsed.
 
     Returns:
         The names.
 
     Raises:
-        ValueError: there is no place for the frame number, or several.
+        ValueError: there is no placeholder, or there are several.
     """
     from fileseq.constants import PAD_STYLE_HASH1
     from fileseq.filesequence import FileSequence
@@ -110,7 +110,7 @@ def parse_frames(text: str) -> list[int]:
         Frame numbers in the order given, each once.
 
     Raises:
-        ValueError: it is something else, or names no frame.
+        ValueError: the text has another form, or names no frame.
     """
     from fileseq.exceptions import FileSeqException
     from fileseq.frameset import FrameSet
@@ -125,14 +125,14 @@ def parse_frames(text: str) -> list[int]:
 
 
 def missing_frames(frames: Sequence[int]) -> str:
-    """Tell which frames a sequence lacks.
+    """Find the gaps in a sequence.
 
     Args:
-        frames: those that are there, in order; two of them next to each other tell the step.
+        frames: numbers of the existing frames, in order; their smallest difference is the step.
 
     Returns:
-        Those between the first and the last that are not there, such as ``1004,1007-1009``; empty
-        if there is none.
+        The missing frames between the first and the last, such as ``1004,1007-1009``; empty if
+        none is missing.
     """
     from fileseq.frameset import FrameSet
 
@@ -142,14 +142,14 @@ def missing_frames(frames: Sequence[int]) -> str:
 
 
 def at_frame(names: Mapping[str, FrameNames | pathlib.Path], frame: int) -> dict[str, pathlib.Path]:
-    """The files of a frame; a single file serves every frame.
+    """Return the files of a frame; a single file serves every frame.
 
     Args:
-        names: sequences and files by what they are for.
+        names: sequences and files by role.
         frame: number of the frame.
 
     Returns:
-        Paths by what they are for.
+        Paths by role.
     """
     return {
         role: name.path(frame) if isinstance(name, FrameNames) else name

@@ -1,4 +1,4 @@
-"""Jobs through stages: several at a time in one process, in bounded memory."""
+"""A pipeline of stages in one process: several jobs at a time, in bounded memory."""
 
 import contextlib
 import dataclasses
@@ -14,13 +14,13 @@ from .jobs import Job
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
-    """A step that every job goes through.
+    """A step of every job.
 
     Attributes:
         name: a verb, for reports.
-        work: makes of a job and what the stage before returned (None for the first) what the
-            next stage gets; the last one's is the result.
-        threads: jobs that may be in this stage at a time.
+        work: function of the job and the value of the previous stage (None for the first).
+            Its value is passed to the next stage; that of the last stage is the result.
+        threads: largest number of jobs in this stage at a time.
     """
 
     name: str
@@ -30,15 +30,15 @@ class Stage:
 
 @dataclasses.dataclass
 class Outcome:
-    """What became of a job.
+    """The outcome of a job.
 
     Attributes:
         job: the job.
-        result: what the last stage returned.
-        error: what a stage raised; the stages after it were left out.
+        result: value of the last stage.
+        error: exception that a stage raised; later stages did not run.
         failed_in: name of that stage, or empty.
         seconds: time in each stage.
-        messages: level and text of what was logged meanwhile, where it could not be shown.
+        messages: level and text of log messages that could not be shown where the job ran.
     """
 
     job: Job
@@ -50,11 +50,11 @@ class Outcome:
 
 
 def run_stages(job: Job, stages: Sequence[Stage]) -> Outcome:
-    """Take one job through all stages in this thread.
+    """Run all stages of one job in this thread.
 
     Args:
         job: the job.
-        stages: in order.
+        stages: stages in order.
 
     Returns:
         The outcome; it holds the error if a stage raised one.
@@ -71,19 +71,19 @@ def run_stages(job: Job, stages: Sequence[Stage]) -> Outcome:
 def run_pipeline(
     jobs: Iterable[Job], stages: Sequence[Stage], spare: int = 2
 ) -> Generator[Outcome, None, None]:
-    """Take jobs through stages that overlap, each in threads of its own.
+    """Run jobs through overlapping stages, each of which has its own threads.
 
-    At most as many jobs are under way as there are threads, and ``spare`` more that wait between
-    two stages: this bounds the memory, however long the sequence.
+    The number of jobs under way is at most the number of threads plus ``spare`` jobs that wait
+    between two stages. This bounds memory, however long the sequence.
 
     Args:
-        jobs: taken one by one as there is room.
-        stages: in order; their functions must bear to run in threads.
+        jobs: taken one by one as jobs finish.
+        stages: stages in order; their functions must be safe to run in threads.
         spare: jobs that may wait between stages.
 
     Yields:
-        Outcomes, as they come about. When the iterator is closed early, what runs is finished,
-        and nothing else is begun.
+        Outcomes in order of completion. If the iterator is closed early, running stages finish, and
+        no further one is started.
     """
     done: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
     stopping = threading.Event()
@@ -113,11 +113,11 @@ def run_pipeline(
 
 
 def _run_stage(outcome: Outcome, stage: Stage, value: Any) -> Any:
-    """Run a stage; note how long it took, and what it raised instead of a value."""
+    """Run a stage; record its time, and its exception if it raises one."""
     started = time.perf_counter()
     try:
         return stage.work(outcome.job, value)
-    # An error in a thread that nobody waits for would be lost; whoever reads the outcome judges.
+    # An exception in a thread would be lost, so it is stored in the outcome for the caller.
     except BaseException as error:
         outcome.error, outcome.failed_in = error, stage.name
         return None

@@ -1,9 +1,9 @@
-"""Drawing: buffers, tiles, taps, errors, speed against error. One place for all pictures.
+"""Drawing: buffers, tiles, taps, errors, speed against error.
 
-Every function returns a matplotlib figure that belongs to no window and to no global state: save
-it with ``figure.savefig(path)``, or leave it as the last line of a notebook cell. Given ``axes``,
-it draws there and returns the figure of the axes. Needs the extra ``jaxblur[plot]``; matplotlib
-loads when something is drawn.
+Every function returns a matplotlib figure that belongs to no window and to no global state: save it
+with ``figure.savefig(path)``, or make it the last line of a notebook cell. If ``axes`` are passed,
+a function draws there and returns their figure. This needs the extra ``jaxblur[plot]``; matplotlib
+is loaded by the first drawing.
 """
 
 from .buffers import (

@@ -1,4 +1,4 @@
-"""What a frame holds: color, depth, and velocity as colors and as arrows."""
+"""Drawings of a frame's buffers: color, depth, and velocity as colors and as arrows."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 ARROWS_ACROSS = 20
 SKY_COLOR = "lightsteelblue"
 WHEEL_SHARE = 0.28
-"""Of the height of a picture that the legend of a velocity takes."""
+"""Height of the velocity legend, as a share of the picture's height."""
 
 
 def frame_sheet(frame: Frame) -> "Figure":
@@ -39,7 +39,7 @@ def frame_sheet(frame: Frame) -> "Figure":
 
 
 def display(image: Any) -> np.ndarray:
-    """Linear light as this package shows it, see `jaxblur.metrics.display`.
+    """Convert linear light to display values as the whole package does; see `metrics.display`.
 
     Args:
         image: (H, W, C) linear light.
@@ -51,11 +51,11 @@ def display(image: Any) -> np.ndarray:
 
 
 def depth_map(frame: Frame, *, axes: "Axes | None" = None) -> "Figure":
-    """Draw depth on a logarithmic scale; sky, at infinity, has a color of its own.
+    """Draw depth on a logarithmic scale; sky, at infinity, has its own color.
 
     Args:
         frame: one frame.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -79,7 +79,7 @@ def depth_map(frame: Frame, *, axes: "Axes | None" = None) -> "Figure":
 
 
 def fastest(velocity: Any) -> float:
-    """The speed that a color wheel should end at: that of the fastest finite vector, at least 1.
+    """Find the speed of full saturation: that of the fastest finite vector, at least 1.
 
     Args:
         velocity: (H, W, 2) in pixels.
@@ -99,7 +99,7 @@ def velocity_wheel(
     Args:
         frame: one frame.
         limit: half-spread of full saturation in pixels; that of the fastest pixel if None.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -116,7 +116,7 @@ def velocity_wheel(
 
 
 def _draw_wheel(axes: Any, limit: float, size: tuple[int, ...]) -> None:
-    """The legend in the lower left corner on a white ground, the limit written below the disc."""
+    """Draw the legend in the lower left corner on white, with the limit below the disc."""
     share = WHEEL_SHARE
     legend = axes.inset_axes((0.01, 0.02, share * size[0] / size[1] / 1.25, share))
     legend.imshow(wheel(128), extent=(-1, 1, 1, -1), zorder=2)
@@ -130,13 +130,13 @@ def velocity_arrows(
 ) -> "Figure":
     """Draw velocities as arrows over the color, each as long as its pixel's streak.
 
-    An arrow runs from ``p - velocity`` to ``p + velocity``, what the point covers while the
-    shutter is open; its middle is the pixel. Pixels that move by less than half a pixel have none.
+    An arrow runs from ``p - velocity`` to ``p + velocity``, the path of the point while the shutter
+    is open, and is centered on its pixel. Pixels that move by at most half a pixel have none.
 
     Args:
         frame: one frame.
         spacing: pixels between arrows; 20 arrows across the picture if None.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -160,14 +160,14 @@ def velocity_arrows(
 
 
 def draw_streaks(axes: Any, x: Any, y: Any, velocity: Any, **style: Any) -> None:
-    """Arrows of length 2 ||v|| about their middle, in the pixels of the axes.
+    """Draw arrows of length 2 ||v||, centered on their pixels, in pixels of the axes.
 
     Args:
-        axes: with a picture, row 0 on top.
+        axes: axes with a picture, row 0 on top.
         x: (n,) columns.
         y: (n,) rows.
         velocity: (n, 2) half-spread in pixels.
-        style: of `Axes.quiver`.
+        style: options of `Axes.quiver`.
     """
     units = {"angles": "xy", "scale_units": "xy", "scale": 0.5, "pivot": "mid"}
     axes.quiver(x, y, velocity[..., 0], velocity[..., 1], **units, **{"width": 0.003} | style)

@@ -1,4 +1,4 @@
-"""The color wheel of velocities: hue says where to, saturation how fast."""
+"""The color wheel of velocities: hue shows direction, saturation shows speed."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,11 +9,11 @@ UNKNOWN = 0.5
 
 
 def velocity_colors(velocity: ArrayLike, limit: float) -> Float[np.ndarray, "*shape 3"]:
-    """Color of each velocity: white where it is 0, fully saturated from ``limit`` on.
+    """Color each velocity: white at 0, fully saturated from ``limit`` on.
 
-    Hue runs with the angle on the screen: right is red, down is yellow-green, left is cyan and up
-    is violet, so that opposed velocities have opposed colors. (They blur alike; the sign matters
-    where vectors of two sources are compared.)
+    Hue follows the angle on the screen: right is red, down is yellow-green, left is cyan and up
+    is violet, so that opposed velocities have opposed colors. (Opposed velocities give the same
+    blur; the sign matters when vectors of two sources are compared.)
 
     Args:
         velocity: (..., 2) half-spread in pixels, x right, y down.
@@ -45,13 +45,13 @@ def velocity_colors(velocity: ArrayLike, limit: float) -> Float[np.ndarray, "*sh
 
 
 def wheel(size: int) -> Float[np.ndarray, "{size} {size} 4"]:
-    """The legend: a disc of all velocities up to the limit.
+    """Draw the legend: a disc of all velocities up to the limit.
 
     Args:
         size: pixels of its diameter.
 
     Returns:
-        (size, size, 4) display values and opacity; clear outside the disc.
+        (size, size, 4) display values and opacity; transparent outside the disc.
     """
     axis = (np.arange(size) + 0.5) * 2 / size - 1
     x, y = np.meshgrid(axis, axis)

@@ -1,4 +1,4 @@
-"""Results beside their truth: pictures under names, error heat maps with a scale."""
+"""Results beside their truth: named pictures, and error heat maps with a scale."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 10.0
-"""Inches of a sheet of pictures."""
+"""Width of a sheet of pictures, inches."""
 TITLE = 0.3
-"""Inches above each picture."""
+"""Room for the title above each picture, inches."""
 
 
 def image_grid(
@@ -26,8 +26,8 @@ def image_grid(
 
     Args:
         images: (H, W, C) linear light by name.
-        columns: in a row; all in one row if None.
-        width: of the figure, inches.
+        columns: number of pictures in a row; all in one row if None.
+        width: width of the figure, inches.
 
     Returns:
         The figure.
@@ -64,10 +64,10 @@ def error_map(
     Args:
         image: (H, W, C) linear light.
         truth: (H, W, C) linear light.
-        kind: ``flip`` for how visible the difference is, ``display`` for the mean absolute
+        kind: ``flip`` for the visibility of the difference, ``display`` for the mean absolute
             difference of the three display values.
         limit: error at the upper end of the scale; 1 for FLIP, the largest error otherwise.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -96,13 +96,13 @@ def error_map(
 def before_after(
     sharp: Any, blurred: Any, truth: Any, *, name: str = "blurred", limit: float | None = None
 ) -> "Figure":
-    """Draw the sharp frame, the result, the truth, and the FLIP of the result.
+    """Draw the sharp frame, the result, the truth, and the FLIP map of the result.
 
     Args:
         sharp: (H, W, C) linear light.
         blurred: (H, W, C) linear light.
         truth: (H, W, C) linear light.
-        name: of the result.
+        name: name of the result.
         limit: FLIP at the upper end of the scale; 1 if None.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Figures against figures: curves with marks, and bars by group."""
+"""Plots of numbers: curves with marks, and bars by group."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -29,14 +29,14 @@ def curves(
     """Draw one or more curves.
 
     Args:
-        lines: horizontal and vertical values by name; an empty name stays out of the legend.
+        lines: horizontal and vertical values by name; an empty name does not appear in the legend.
         x: label of the horizontal axis, with its unit.
         y: label of the vertical axis, with its unit.
-        title: above.
-        log: axes with a logarithmic scale, out of ``x`` and ``y``.
+        title: title above the plot.
+        log: the axes with a logarithmic scale: ``x``, ``y``, ``xy`` or none.
         marks: dashed vertical lines by name.
         levels: dotted horizontal lines by name.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -47,7 +47,7 @@ def curves(
     if not lines:
         raise ValueError("`lines` must hold at least one line.")
     if set(log) - {"x", "y"}:
-        raise ValueError(f"`log` must be made of x and y, got {log!r}.")
+        raise ValueError(f"`log` may hold only the letters x and y, got {log!r}.")
     figure, axes = figure_and_axes(axes)
     for name, (across, up) in lines.items():
         axes.plot(np.asarray(across), np.asarray(up), "o-", markersize=3, label=name or None)
@@ -76,8 +76,8 @@ def bars(
     Args:
         groups: values by name, by group; all groups hold the same names.
         x: label of the values, with their unit.
-        title: above.
-        axes: where to draw.
+        title: title above the plot.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure; the first name is on top.

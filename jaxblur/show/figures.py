@@ -1,4 +1,4 @@
-"""Figures without global state, and the one message that says how to install matplotlib."""
+"""Figures without global state, and the error message if matplotlib is not installed."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +33,12 @@ def new_figure(width: float, height: float) -> "Figure":
 def figure_and_axes(
     axes: "Axes | None", width: float = 5.0, height: float = 3.5
 ) -> "tuple[Figure, Axes]":
-    """The axes to draw in and their figure; new ones if there are none.
+    """Return the axes to draw in and their figure; make new ones if none are given.
 
     Args:
-        axes: where to draw, or None.
-        width: of a new figure, inches.
-        height: of a new figure, inches.
+        axes: axes to draw in, or None.
+        width: width of a new figure, inches.
+        height: height of a new figure, inches.
 
     Returns:
         Figure and axes.
@@ -59,9 +59,9 @@ def show_pixels(axes: "Axes", display: Any, title: str = "") -> Any:
     """Draw display values, one square for each pixel, without ticks.
 
     Args:
-        axes: where to draw.
+        axes: axes to draw in.
         display: (H, W, 3) sRGB values in [0, 1], or (H, W).
-        title: above the picture.
+        title: title above the picture.
 
     Returns:
         The drawn image.

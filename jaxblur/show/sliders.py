@@ -1,4 +1,4 @@
-"""Sliders where a notebook is alive, the picture at their starting values elsewhere."""
+"""Sliders in a live notebook; elsewhere the picture at their starting values."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,16 +8,17 @@ def sliders(draw: Callable[..., Any], **ranges: tuple[float, float, float]) -> A
     """Call a drawing function with values from sliders.
 
     In a live notebook with ipywidgets (``jaxblur[notebook]``) each value has a slider, and the
-    picture follows when one is let go. Elsewhere the function is called once, with the starting
-    values. Pass the values on as filter parameters and nothing recompiles: those are traced.
+    picture is drawn again when one is released. Elsewhere the function is called once, with the
+    starting values. Values that are passed on as filter parameters do not recompile anything,
+    because parameters are traced.
 
     Args:
-        draw: takes the values by name and returns a figure.
-        ranges: (low, high, start) for each value; logarithmic if low is above 0 and high is a
-            hundred times as much, or more.
+        draw: function that takes the values by name and returns a figure.
+        ranges: (low, high, start) for each value; logarithmic if low is above 0 and high is at
+            least 100 times low.
 
     Returns:
-        The widgets, or what ``draw`` returns.
+        The widgets, or the result of ``draw``.
 
     Raises:
         ValueError: a start lies outside its range.
@@ -38,7 +39,7 @@ def sliders(draw: Callable[..., Any], **ranges: tuple[float, float, float]) -> A
 
 
 def _alive() -> bool:
-    """Whether a kernel with widgets runs this."""
+    """Return whether this runs in a notebook kernel with widgets."""
     try:
         import ipywidgets  # noqa: F401
         from IPython.core.getipython import get_ipython
@@ -51,7 +52,7 @@ def _slider(name: str, low: float, high: float, start: float) -> Any:
     import ipywidgets
     from numpy import log10
 
-    # Only where it is let go: a picture takes longer than a slider moves.
+    # Only on release, because drawing is slower than the slider moves.
     common = {"value": start, "description": name, "continuous_update": False}
     if low > 0 and high >= 100 * low:
         return ipywidgets.FloatLogSlider(min=log10(low), max=log10(high), **common)

@@ -1,4 +1,4 @@
-"""Tiles and taps: how a filter sees a frame."""
+"""Drawings of tiles, taps and texel weights: how a filter reads a frame."""
 
 import dataclasses
 import functools
@@ -11,10 +11,11 @@ from jaxtyping import Float
 
 from ..filters.registry import FilterInfo, filter_info
 from ..filters.taps import taps_at
+from ..filters.tiles import dominant_velocity, tile_max
 from ..frame import Frame
 from ..noise import Noise
+from ..safe_math import clamp_speed
 from ..settings import GuertinSettings, Settings, checked_settings
-from ..tiles import clamp_speed, dominant_velocity, tile_max
 from .buffers import display, draw_streaks, fastest
 from .colors import velocity_colors
 from .figures import figure_and_axes, show_pixels
@@ -24,11 +25,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TINT = 0.45
-"""Share of a tile's color in the picture."""
+"""Opacity of a tile's color over the picture."""
 MARGIN = 6
-"""Pixels around the taps of a pixel."""
+"""Margin around the taps of a pixel, pixels."""
 LARGEST_DOT = 250.0
-"""Area of the dot of the largest weight, in square points."""
+"""Area of the dot for the largest weight, in square points."""
 
 DOMINANT_COLOR, CENTER_COLOR, OWN_COLOR = "tab:blue", "tab:orange", "tab:red"
 
@@ -36,13 +37,13 @@ DOMINANT_COLOR, CENTER_COLOR, OWN_COLOR = "tab:blue", "tab:orange", "tab:red"
 def tile_velocities(
     frame: Frame, settings: Settings, stage: Literal["tile", "neighbor"] = "neighbor"
 ) -> Float[np.ndarray, "rows columns 2"]:
-    """The velocity of each tile, by the functions that the filters run.
+    """Compute the velocity of each tile, with the functions that the filters use.
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: ``tile`` for the fastest vector of the tile itself, ``neighbor`` for the dominant
-            one of its 3 x 3 ring.
+            one of its 3 x 3 neighborhood.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels, clamped to the radius.
@@ -53,10 +54,10 @@ def tile_velocities(
     if stage not in ("tile", "neighbor"):
         raise ValueError(f"`stage` must be 'tile' or 'neighbor', got {stage!r}.")
     settings = checked_settings(settings, GuertinSettings)
-    velocity, speed = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
+    velocity, _ = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
     if stage == "tile":
         return np.asarray(tile_max(velocity, settings.radius))
-    return np.asarray(dominant_velocity(velocity, speed, settings.radius, settings.diagonal_tiles))
+    return np.asarray(dominant_velocity(velocity, settings.radius, settings.diagonal_tiles))
 
 
 def tile_overlay(
@@ -66,13 +67,13 @@ def tile_overlay(
     stage: Literal["tile", "neighbor"] = "neighbor",
     axes: "Axes | None" = None,
 ) -> "Figure":
-    """Draw the grid of tiles over the color, each tinted by its velocity, with its arrow.
+    """Draw the grid of tiles over the color; each tile has the tint and the arrow of its velocity.
 
     Args:
         frame: one frame.
-        settings: radius, and which diagonal tiles count.
+        settings: radius, and the rule for diagonal tiles.
         stage: see `tile_velocities`.
-        axes: where to draw.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -115,19 +116,19 @@ def texel_weights(
     settings: Settings | None = None,
     noise: Noise | None = None,
 ) -> Float[np.ndarray, "height width"]:
-    """How much each texel of the frame contributes to one pixel of the result.
+    """Compute the contribution of each texel of the frame to one pixel of the result.
 
-    The result of a filter whose weights do not depend on color is linear in color: the weights are
-    the derivative of the pixel in the color.
+    The result of a filter whose weights do not depend on color is linear in color, so the weights
+    are the derivative of the pixel with respect to color.
 
     Args:
-        name: of a registered filter.
+        name: name of a registered filter.
         frame: one frame; its color is not read.
-        row: of the pixel.
-        column: of the pixel.
-        parameters: of the filter; its defaults if None.
-        settings: of the filter; its defaults if None.
-        noise: of the filter.
+        row: row of the pixel.
+        column: column of the pixel.
+        parameters: parameters of the filter; its defaults if None.
+        settings: settings of the filter; its defaults if None.
+        noise: noise of the filter.
 
     Returns:
         (H, W) weights that sum to 1; they are at least 0 for nearest fetch.
@@ -183,22 +184,22 @@ def tap_diagram(
     noise: Noise | None = None,
     axes: "Axes | None" = None,
 ) -> "Figure":
-    """Draw which texels make one pixel of the result, and how much each weighs.
+    """Draw the texels that contribute to one pixel of the result, and their weights.
 
-    A dot's area is its texel's weight, by `texel_weights`; the ring is the pixel itself. For
-    guertin2014 crosses mark the taps along the dominant direction and along the center direction,
-    and the lines are as long as their reach; taps without a dot have no weight. With the expected
-    tile choice every tile that may be read is drawn, less likely ones paler.
+    The area of a dot is the weight of its texel, from `texel_weights`; the ring marks the pixel
+    itself. For guertin2014, crosses mark the taps along the dominant direction and along the center
+    direction, and the lines are as long as their reach; taps without a dot have no weight. With the
+    expected tile choice every tile that may be read is drawn, less likely ones fainter.
 
     Args:
         frame: one frame.
-        row: of the pixel.
-        column: of the pixel.
-        name: of a registered filter.
-        parameters: of the filter; its defaults if None.
-        settings: of the filter; its defaults if None.
-        noise: of the filter.
-        axes: where to draw.
+        row: row of the pixel.
+        column: column of the pixel.
+        name: name of a registered filter.
+        parameters: parameters of the filter; its defaults if None.
+        settings: settings of the filter; its defaults if None.
+        noise: noise of the filter.
+        axes: axes to draw in; new ones if None.
 
     Returns:
         The figure.
@@ -225,7 +226,7 @@ def tap_diagram(
 
 
 def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str, Any]) -> None:
-    """The two lines of guertin2014 with their taps, and the pixel's own velocity."""
+    """Draw the two lines of guertin2014 with their taps, and the pixel's own velocity."""
     info = filter_info("guertin2014")
     parameters, settings = options["parameters"], options["settings"]
     parameters = info.make_parameters() if parameters is None else parameters

@@ -1,20 +1,21 @@
 """Motion-vector conventions: recognize them, convert them, measure them.
 
-Every renderer stores motion vectors in its own way: other channels, axes, signs, units, time
-spans. Here a convention is data (`PRESETS`), and everything is converted to one:
+Every renderer stores motion vectors in its own way: channels, axes, signs, units and time spans
+differ. Here a convention is data (`PRESETS`), and all are converted to one:
 
     displacement of the surface point, in **pixels** of the full picture, over **one full
     frame**, **x right, y down**, either to the next frame or to the previous one,
 
-and from there, for an exposure of ``shutter`` frames, to what `jaxblur.frame` asks for:
+and then, for an exposure of ``shutter`` frames, to the convention of `jaxblur.frame`:
 
     half-spread = 1/2 * shutter * (displacement per frame).
 
-Where a file holds both sides (Blender, Nuke), the path of a point is the arc through its
-previous, present and next positions, and the frame gets its ends too (`to_half_spread`).
+If a file holds both directions (Blender, Nuke), the path of a point is the arc through its
+previous, current and next positions, and the frame stores the ends of that path too
+(`to_half_spread`).
 
-Not sure which convention a file follows? `rank_conventions` warps the next frame back under
-each candidate and ranks them by how well the pictures agree.
+If the convention of a file is unknown, `rank_conventions` warps the next frame back under each
+candidate and ranks the candidates by how well the pictures agree.
 """
 
 from .convert import (

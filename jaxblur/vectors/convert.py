@@ -1,4 +1,4 @@
-"""From raw vectors to displacements, from displacements to half-spreads and paths."""
+"""Convert raw vectors to displacements, and displacements to half-spreads and paths."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from .presets import Preset
 
 @dataclasses.dataclass(frozen=True)
 class Displacements:
-    """Where each pixel's surface point was and will be, relative to now.
+    """Previous and next position of each pixel's surface point, relative to the current one.
 
     Attributes:
         previous: (H, W, 2) pixels, x right, y down, one frame earlier; None if unknown.
@@ -37,7 +37,7 @@ def to_displacements(
         raw: (H, W, 2 or 4) values of ``guess.channels`` as stored.
         guess: the convention and its layout.
         size: (height, width) of the full picture, pixels.
-        max_displace: pixels that a full-range value stands for (scale "max-displace").
+        max_displace: displacement in pixels of a full-range value (scale "max-displace").
         file_shutter: exposure of the render that wrote the vectors, frames (span "shutter").
         alpha: (H, W) coverage, for vectors that were multiplied by it.
 
@@ -64,15 +64,15 @@ def to_half_spread(
 ) -> tuple[Float[np.ndarray, "height width 2"], Float[np.ndarray, "height width 2 2"] | None]:
     """Turn displacements per frame into the half-spread and, with both sides, the path.
 
-    ``velocity = shutter/2 * displacement``, as the published filters define it; with both sides
-    the displacement is half of that from the previous position a (t = -1) to the next one b
-    (t = 1). The path goes through both: with l = (b - a)/2, c = (a + b)/2, and c split into
-    c1 along l and c2 across it, it is the arc
+    ``velocity = shutter/2 * displacement``, as the published filters define it. With both sides, a
+    at t = -1 and b at t = 1, the displacement is (b - a)/2, and the path passes through both: with
+    l = (b - a)/2, c = (a + b)/2, and c split into c1 along l and c2 across it, it is the arc
 
         x(t) = l sin(w t)/sin(w) + c2 (1 - cos(w t))/(1 - cos(w)) + c1 t^2,  tan(w/2) = |c2|/|l|,
 
-    taken at t = -shutter/2 and +shutter/2. Of a turning wheel that is the circle, which the
-    straight displacement cuts short; without c2 it is the parabola of an accelerated point.
+    evaluated at t = -shutter/2 and +shutter/2. For a point on a turning wheel it is the circle,
+    which the straight displacement cuts short; if c2 = 0, it is the parabola of an accelerated
+    point.
 
     Args:
         displacements: as `to_displacements` returns them.
@@ -98,7 +98,7 @@ def to_half_spread(
 
 
 _WIDEST = 2 / 3 * np.pi
-"""Radians per frame. Of a point that turns farther than this it is not known which way it went."""
+"""Radians per frame. For a larger angle the direction of the rotation is ambiguous."""
 
 
 def _arc(
@@ -106,7 +106,7 @@ def _arc(
     following: Float[np.ndarray, "height width 2"],
     half: float,
 ) -> Float[np.ndarray, "height width 2 2"]:
-    """Displacements at the times -half and half on the arc of `to_half_spread`."""
+    """Compute the displacements at the times -half and half on the arc of `to_half_spread`."""
     line, along, across, ratio = _parts(previous, following)
     tangent, bend = _scales(2 * np.arctan(ratio), half)
     end, sagitta = tangent * line, bend * across + np.float32(half**2) * along
@@ -114,7 +114,7 @@ def _arc(
 
 
 def from_path(path: Float[np.ndarray, "height width 2 2"], shutter: float) -> Displacements:
-    """Find displacements over full frames whose path is the given one, see `to_half_spread`.
+    """Find the displacements over full frames whose path is the given one; see `to_half_spread`.
 
     Args:
         path: displacement at shutter opening and closing in pixels.
@@ -131,21 +131,21 @@ def from_path(path: Float[np.ndarray, "height width 2 2"], shutter: float) -> Di
 
 
 def _parts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Half of the chord, what is left along it and across it, and the ratio of the latter."""
+    """Split two ends into half the chord, the rest along and across it, and their ratio."""
     line, rest = (last - first) / 2, (last + first) / 2
     squared = np.sum(line * line, axis=-1, keepdims=True)
     along = np.sum(line * rest, axis=-1, keepdims=True) / np.where(squared > 0, squared, 1) * line
     across = rest - along
-    # A point that comes back to where it was has no chord: the widest angle.
+    # A point that returns to its old position has no chord: the widest angle.
     steep = np.linalg.norm(across, axis=-1, keepdims=True)
     ratio = steep / np.sqrt(np.where(squared > 0, squared, 1))
     return line, along, across, np.where(squared > 0, ratio, np.where(steep > 0, np.inf, 0))
 
 
 def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
-    """By how much chord and sagitta of a turn by an angle shrink for a share ``half`` of it."""
+    """Compute the factors for chord and sagitta of an arc when the angle shrinks by ``half``."""
     curved = angle > 1e-3
-    # Below a thousandth the parabola is the same in float32, and nothing is divided by zero.
+    # Below 1e-3 the parabola is equal in float32, and there is no division by zero.
     angle = np.where(curved, np.minimum(angle, np.float32(_WIDEST)), 1)
     tangent = np.where(curved, np.sin(half * angle) / np.sin(angle), half)
     bend = np.where(curved, (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2, half**2)
@@ -153,7 +153,7 @@ def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_shutter(shutter: float, argument: str) -> None:
-    """Refuse an exposure that is negative or not a number.
+    """Check that an exposure is finite and not negative.
 
     Args:
         shutter: exposure in frames.
@@ -167,13 +167,13 @@ def check_shutter(shutter: float, argument: str) -> None:
 
 
 def _scale(preset: Preset, size: tuple[int, int], max_displace: float | None) -> np.ndarray:
-    """Return what one unit of x and y is worth in pixels."""
+    """Return the size of one unit of x and y in pixels."""
     height, width = size
     if preset.scale == "max-displace":
         if max_displace is None or not max_displace > 0:
             raise ValueError(
-                f"preset `{preset.name}` needs `max_displace`, the pixels that a full-range "
-                f"value stands for; got {max_displace}."
+                f"preset `{preset.name}` needs `max_displace`, the displacement in pixels of a "
+                f"full-range value; got {max_displace}."
             )
         return np.array([max_displace, max_displace])
     factors = {"pixels": (1, 1), "size": (width, height), "half-size": (width / 2, height / 2)}

@@ -1,4 +1,4 @@
-"""Recognize a motion-vector convention by the names of the channels."""
+"""Recognize a motion-vector convention by channel names."""
 
 import dataclasses
 import re
@@ -15,7 +15,7 @@ class Guess:
         preset: the convention.
         layout: the alternative of ``preset.layouts`` that was found.
         channels: full channel names, x and y of each pair of ``layout`` in turn.
-        reason: one line that says what was decided and why.
+        reason: the decision and the reason for it, in one line.
     """
 
     preset: Preset
@@ -27,7 +27,7 @@ class Guess:
 def guess_preset(channel_names: Sequence[str]) -> Guess:
     """Recognize the convention of the vectors in a file by its channel names.
 
-    Only conventions whose names identify them take part (`Preset.named`).
+    Only conventions that are identified by their channel names are considered (`Preset.named`).
 
     Args:
         channel_names: full names, such as ``ViewLayer.Vector.X``.
@@ -52,8 +52,8 @@ def guess_preset(channel_names: Sequence[str]) -> Guess:
     if not guesses:
         raise ValueError(
             f"no motion vectors recognized among {describe_names(channel_names)}; render the "
-            "pass, name the file that has them with `velocity_from`, or, where they are among "
-            "these channels, name them with `velocity_channels` and their convention with `preset`."
+            "pass, name the file that has them with `velocity_from`, or, if they are among these "
+            "channels, name them with `velocity_channels` and their convention with `preset`."
         )
     return _only(guesses)
 
@@ -66,7 +66,7 @@ def match_preset(preset: str, channel_names: Sequence[str]) -> Guess:
         channel_names: full names of the channels in the file.
 
     Returns:
-        The match of the fullest layout that the file holds.
+        The match of the first layout of the preset that the file holds.
 
     Raises:
         ValueError: unknown preset, its channels are missing, or several layers have them.
@@ -83,7 +83,7 @@ def match_preset(preset: str, channel_names: Sequence[str]) -> Guess:
 
 
 def assign_channels(preset: str, velocity_channels: Sequence[str]) -> Guess:
-    """Read the given channels under a given convention, whatever they are called.
+    """Assign the given channels to a given convention, whatever their names.
 
     Args:
         preset: a key of `PRESETS`.
@@ -108,7 +108,7 @@ def assign_channels(preset: str, velocity_channels: Sequence[str]) -> Guess:
 
 
 def known_preset(name: str) -> Preset:
-    """Look a preset up.
+    """Look up a preset.
 
     Args:
         name: a key of `PRESETS`.
@@ -117,7 +117,7 @@ def known_preset(name: str) -> Preset:
         The preset.
 
     Raises:
-        ValueError: there is none of that name; the message lists those there are.
+        ValueError: there is no preset of that name; the message lists all presets.
     """
     if name not in PRESETS:
         raise ValueError(f"`preset` must be auto or one of {', '.join(PRESETS)}; got {name!r}.")
@@ -125,10 +125,10 @@ def known_preset(name: str) -> Preset:
 
 
 def find_channels(pattern: str, channel_names: Sequence[str]) -> list[str]:
-    """List the channels called ``pattern``, whatever layers stand before it.
+    """List the channels called ``pattern`` in any layer.
 
     Args:
-        pattern: a name or its dotted ending; ``*`` matches any characters but a dot.
+        pattern: a name or its dotted ending; ``*`` matches any characters except a dot.
         channel_names: full names to search.
 
     Returns:
@@ -147,7 +147,7 @@ def describe_names(channel_names: Sequence[str], limit: int = 40) -> str:
 
     Args:
         channel_names: full names.
-        limit: how many to show.
+        limit: largest number of names shown.
 
     Returns:
         The names separated by commas, or ``no channels``.
@@ -163,7 +163,7 @@ def _ending(pattern: str) -> re.Pattern[str]:
 
 
 def _matches(preset: Preset, names: Sequence[str]) -> list[Guess]:
-    """Find every layer that holds the first layout of the preset that occurs at all."""
+    """Find every layer that holds the preset's first layout of which the file has any."""
     for layout in preset.layouts:
         patterns = [pattern for pair in layout for pattern in (pair.x, pair.y)]
         layers = _layers(patterns, names)
@@ -173,7 +173,7 @@ def _matches(preset: Preset, names: Sequence[str]) -> list[Guess]:
 
 
 def _layers(patterns: list[str], names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Group the matches of all patterns by what precedes and fills them."""
+    """Group the matches of all patterns by their layer and the text that ``*`` matched."""
     found: list[dict[tuple[str, ...], str]] = []
     for pattern in patterns:
         matches = [_ending(pattern).fullmatch(name) for name in names]

@@ -1,12 +1,12 @@
-"""What each renderer's motion vectors mean, as data.
+"""The motion-vector conventions of renderers, as data.
 
-A preset says which channels hold the vectors and how to turn their raw values into
-displacements. `VectorPair.time` tells where a pair of channels points once the signs are
-applied: -1 is the displacement from a point's position now to its position one frame (or
-one shutter) earlier, +1 to the position one frame later, in pixels, x right, y **down**.
+A preset names the channels that hold the vectors and the conversion of their raw values to
+displacements. `VectorPair.time` is the target of the vectors once the signs are applied: -1 means
+the displacement from a point's current position to its position one frame (or one shutter) earlier,
++1 to its position one frame later, in pixels, x right, y **down**.
 
-``verified=False`` marks what was gathered from documentation or forums and was not checked
-against source code or renders: measure it with `jaxblur.vectors.rank_conventions`.
+``verified=False`` marks conventions from documentation or forums that were not checked against
+source code or renders: measure them with `jaxblur.vectors.rank_conventions`.
 """
 
 import dataclasses
@@ -22,11 +22,12 @@ class VectorPair:
     """Two channels that hold one displacement.
 
     Attributes:
-        x: channel name, or its ending; ``*`` stands for any characters but a dot.
-        y: likewise for the second component.
+        x: name of the channel with the first component, or its ending; ``*`` matches any
+            characters except a dot.
+        y: the same for the second component.
         time: -1 if ``(sign_x, sign_y) * raw`` leads to the previous position, +1 to the next.
-        sign_x: +1, or -1 where the raw component runs the other way.
-        sign_y: likewise; axes after the sign are x right, y down.
+        sign_x: +1, or -1 if the raw component has the opposite direction.
+        sign_y: the same for y; axes after the sign are x right, y down.
     """
 
     x: str
@@ -46,17 +47,18 @@ class Preset:
     Attributes:
         name: the key in `PRESETS`.
         layouts: alternatives, the fullest first; each one or two pairs (previous and next).
-        scale: "pixels" 1; "size" (width, height); "half-size" half of that; "max-displace" a
-            number that the file does not hold and the caller gives, in pixels.
+        scale: "pixels" 1; "size" (width, height); "half-size" half of that; "max-displace" a number
+            in pixels that is not in the file and must be given by the caller.
         offset: raw value of a point at rest.
         gain: factor after the offset.
         span: "frame" if vectors cover a full frame, "shutter" if they cover the exposure of the
             render that wrote them (the caller gives its length).
-        depth: how the same renderer writes depth.
-        premultiplied: raw vectors were multiplied by alpha.
-        named: the channel names alone identify the convention (``preset="auto"`` may choose it).
-        verified: checked against source code or renders.
-        source: where it comes from and what to watch.
+        depth: kind of depth that the same renderer writes.
+        premultiplied: whether raw vectors were multiplied by alpha.
+        named: whether the channel names alone identify the convention, so that
+            ``preset="auto"`` may choose it.
+        verified: whether it was checked against source code or renders.
+        source: its origin, and notes for use.
     """
 
     name: str
@@ -88,7 +90,7 @@ def _spellings(*layers: str) -> tuple[tuple[str, str], ...]:
     return tuple((f"{layer}.{x}", f"{layer}.{y}") for layer in layers for x, y in components)
 
 
-# Layers under which people store vectors whose convention the name does not tell.
+# Common names of layers with vectors; these names do not identify a convention.
 _ANY_LAYER = (
     *_spellings("velocity", "Velocity", "motion", "motionvector", "motionvec", "mv", "mvec"),
     *_spellings("MotionVectors", "MotionVector", "motion_vector", "flow", "uv", "rsmb"),

@@ -1,8 +1,8 @@
-"""Find out by measurement which convention motion vectors follow.
+"""Determine the convention of motion vectors by measurement.
 
-Each candidate (which pair of channels, sign of x and y, unit, span) says where every point of
-a frame goes in the next one. The next frame is read there and compared with the frame: the right
-candidate makes the two agree on what moves.
+Each candidate (pair of channels, signs of x and y, unit, span) predicts the position of every point
+of a frame in the next one. The next frame is read at these positions and compared with the frame:
+under the right candidate the two agree on moving pixels.
 """
 
 import dataclasses
@@ -16,13 +16,14 @@ from jaxtyping import Float
 from .guess import find_channels
 from .presets import PRESETS, Preset, Scale, VectorPair
 
-# Units of raw values: the name users know, and the scale of `Preset` it corresponds to.
+# Units of raw values: the name that users see, and the corresponding `Preset.scale`.
 UNITS: dict[str, Scale] = {"px": "pixels", "uv": "size", "ndc": "half-size"}
-# Pixels to compare; more change the ranking no further and cost time.
+# Largest number of pixels to compare; more take longer and do not change the ranking.
 SAMPLE_LIMIT = 40_000
-# Occlusion and new highlights make a few differences huge; one pixel may not count for more.
+# Limit of the difference of one pixel, because occlusion and new highlights make a few huge.
 ERROR_CAP = 0.5
-# Candidates whose errors differ by less than this share of what the best explains are as good.
+# Candidates are equally good if their errors differ by less than this share of the error that the
+# best one removes.
 TIE = 0.02
 _MEANING = {
     "sign_x": "the sign of x",
@@ -45,8 +46,8 @@ class Candidate:
         offset: raw value of no motion.
         span: length of time the vectors cover, frames: 1, or the exposure.
         error: mean absolute difference on moving pixels, after x/(1+x); lower is better. Where the
-            candidate leads out of the picture, that if nothing moved: it explains nothing.
-        presets: presets that read such channels just so.
+            candidate points outside the picture, the difference without motion is used.
+        presets: presets that decode such channels in the same way.
     """
 
     channels: tuple[str, str]
@@ -65,8 +66,8 @@ class Ranking:
 
     Attributes:
         candidates: sorted by error.
-        still_error: the same error if nothing moved; a best candidate that is not clearly
-            below it explains nothing.
+        still_error: the same error without motion; if the best candidate is not clearly below it,
+            no candidate is right.
         moving_share: share of pixels with motion, 0..1.
     """
 
@@ -76,7 +77,7 @@ class Ranking:
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """What these frames do not tell: where candidates for the same channels are as good."""
+        """Properties that these frames leave open: equally good candidates differ in them."""
         best = self.candidates[0]
         most = best.error + TIE * max(self.still_error - best.error, 0)
         as_good = [c for c in self.candidates if c.channels == best.channels and c.error <= most]
@@ -102,8 +103,8 @@ def rank_conventions(
         frame_color: (H, W, C) linear light, the frame that the vectors belong to.
         next_color: (H, W, C) the following frame.
         raw_vectors: (H, W, 2 or 4) vectors as stored: x and y of each pair.
-        channels: their names; "0", "1", ... if None.
-        shutter: exposure that vectors might be given over, frames.
+        channels: names of the components; "0", "1", ... if None.
+        shutter: exposure in frames, the second span that is tried.
         size: (height, width) of the full picture, if the arrays are a part of it.
 
     Returns:
@@ -206,7 +207,7 @@ def _unit_pixels(unit: str, size: tuple[int, int]) -> np.ndarray:
 
 
 def _compress(color: np.ndarray) -> np.ndarray:
-    """Bring highlights into 0..1, so that they do not decide alone."""
+    """Compress light to 0..1, so that highlights do not dominate."""
     light = np.maximum(np.nan_to_num(color.astype(np.float32), posinf=1e6), 0)
     return light / (1 + light)
 
@@ -214,10 +215,10 @@ def _compress(color: np.ndarray) -> np.ndarray:
 def _differences(
     now: np.ndarray, following: np.ndarray, rows: np.ndarray, columns: np.ndarray, to: np.ndarray
 ) -> np.ndarray:
-    """Difference of each pixel from where it went, read bilinearly; NaN outside the image."""
+    """Compare each pixel with its predicted position, read bilinearly; NaN outside the image."""
     height, width, _ = following.shape
     y, x = rows + to[:, 1], columns + to[:, 0]
-    # Half a pixel beyond the outermost centers is the image's edge.
+    # The edge of the image is half a pixel beyond the outermost pixel centers.
     inside = (y >= -0.5) & (y <= height - 0.5) & (x >= -0.5) & (x <= width - 0.5)
     y, x = np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)
     top, left = np.floor(y).astype(int), np.floor(x).astype(int)
@@ -233,7 +234,7 @@ def _differences(
 def _presets(
     names: tuple[str, str], sign_x: int, sign_y: int, unit: str, offset: float, span: float
 ) -> tuple[str, ...]:
-    """List presets that read these channels so: by name, else all that a name may be given to."""
+    """List presets with this meaning: those that name these channels, else all with one pair."""
 
     def same_meaning(preset: Preset, pair: VectorPair) -> bool:
         return (

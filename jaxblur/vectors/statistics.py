@@ -1,4 +1,4 @@
-"""Figures about the vectors of a frame, for listings and for choosing a radius."""
+"""Statistics of the vectors of a frame, for listings and for the choice of a radius."""
 
 import dataclasses
 import math
@@ -16,7 +16,7 @@ class SpeedStatistics:
 
     Attributes:
         percentiles: speed by percentile of the finite vectors; all 0 if there are none.
-        zero_share: share of pixels with exactly no motion, 0..1.
+        zero_share: share of pixels with exactly zero motion, 0..1.
         non_finite_share: share of pixels with NaN or infinity, 0..1.
         beyond_share: share of pixels with a finite speed above ``radius``, which a filter would
             clamp, 0..1.
@@ -39,11 +39,11 @@ def speed_statistics(
     """Measure the speeds of a frame.
 
     Args:
-        velocity: (H, W, 2) half-spread in pixels; NaN and infinity are counted, not refused.
+        velocity: (H, W, 2) half-spread in pixels; NaN and infinity are counted, not rejected.
         radius: largest speed that the filter keeps, pixels.
 
     Returns:
-        The figures.
+        The statistics.
     """
     x, y = np.moveaxis(velocity.astype(np.float64), -1, 0)
     speed = np.hypot(x, y)

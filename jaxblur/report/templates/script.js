@@ -1,5 +1,5 @@
 "use strict";
-// Everything that a file may have named reaches the page as text, never as markup.
+// Names that may come from files reach the page as text, never as markup.
 
 const COLORS = ["#3b82f6", "#ef7d22", "#2fa84f", "#d9404a", "#9b6bd3", "#a0705c", "#dd6fb8", "#8c8c8c"];
 const MAGMA = [
@@ -25,7 +25,7 @@ const pictureAt = (index) => current().pictures[index];
 const drawable = (picture) => Boolean(picture.mantissa);
 const truthIndex = () => current().pictures.findIndex((picture) => picture.truth);
 
-// Pixels of pictures: decoded once, kept for as long as the page is open.
+// Pixels of pictures: decoded once and kept while the page is open.
 
 async function pixelsOf(uri, width, height) {
   const image = new Image();
@@ -83,7 +83,7 @@ function shown(shot, picture) {
   return picture.shown;
 }
 
-// The picture on screen: both sides through one transform, so that they stay in step.
+// The picture on screen: both sides share one transform, so that they stay aligned.
 
 const canvas = element("canvas");
 let drawing = 0;
@@ -155,7 +155,7 @@ function zoom(factor, x = canvas.clientWidth / 2, y = canvas.clientHeight / 2) {
   update();
 }
 
-// What the controls say.
+// Readout and state of the controls.
 
 function read() {
   const { probe } = view;
@@ -216,7 +216,7 @@ function choose(index) {
   if (index < 0 || index >= current().pictures.length) return;
   view.picture = index;
   const picture = pictureAt(index);
-  announce(drawable(picture) ? `${picture.method} of ${current().name}` : `${picture.method} has figures only`);
+  announce(drawable(picture) ? `${picture.method} of ${current().name}` : `${picture.method} has scores only`);
   update();
 }
 
@@ -273,7 +273,7 @@ function star(x, y, radius) {
   }).join(" ");
 }
 
-// PSNR and SSIM are better the larger they are; all else here is an error.
+// Larger is better for PSNR and SSIM; all other scores are errors.
 const largerIsBetter = (name) => /psnr|ssim/i.test(name);
 
 function scaleOf(values, logarithmic, from, to) {
@@ -376,7 +376,7 @@ function sortBy(table, column) {
   const numeric = heads[column].classList.contains("number");
   const rows = [...table.tBodies[0].rows].sort((a, b) => {
     const [first, second] = [key(a), key(b)];
-    // What is not known stays at the end either way.
+    // Unknown values stay at the end in both orders.
     if (first === "" || second === "") return (first === "") - (second === "");
     const order = numeric ? number(first) - number(second) : first.localeCompare(second, undefined, { numeric: true });
     return falling ? -order : order;

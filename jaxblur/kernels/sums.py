@@ -1,14 +1,14 @@
-"""Sums over the samples along a line of every pixel, and the derivatives of that.
+"""Sums over the samples of every pixel, and their derivatives.
 
-A sample is an elementwise function written for a trailing sample axis. On a CPU with a C++
-compiler it becomes a native kernel (`jaxblur.native`); elsewhere all of its terms are summed by
-one variadic reduction over that minor axis, which XLA fuses with the reads. Either way nothing of
-shape (H, W, N) exists in memory.
+A sample is a function of scalars that works on planes too (`.planes`). On a CPU with a C++
+compiler the sum becomes a native kernel (`.cpp`); elsewhere one variadic reduction over a trailing
+axis of samples sums all terms, and XLA fuses it with the reads. Neither way keeps an array of
+shape (H, W, N) in memory.
 
 A pixel's sums depend on its own local values only, so derivatives with respect to those are
 images, summed in the same kernel. Tables are read anywhere: their derivatives are a linear
 operator of its own, `_push`, whose transpose is native code again, or a scan over the samples with
-rematerialisation.
+rematerialization.
 """
 
 import functools
@@ -23,87 +23,132 @@ from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from .native import Stages, native_gather, native_pull
-from .settings import Backend
+from ..settings import Backend
+from .cpp import native_gather, native_pull
+from .tracing import Place, Stages
 
 Terms = tuple[jax.Array, ...]
-Sample = Callable[[jax.Array, Any, Any], Terms]
+Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
+
+
+class Grid(NamedTuple):
+    """Sizes of a run; native code gets them when it runs.
+
+    Attributes:
+        height: rows of the result.
+        width: columns of the result.
+        sizes: rows, columns, rows, columns, ... of the images.
+    """
+
+    height: int
+    width: int
+    sizes: tuple[int, ...] = ()
+
+    def place(self) -> Place:
+        """Row and column of every pixel, (H, W, 1), and the sizes."""
+        shape = self.height, self.width, 1
+        row, column = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+        return Place(row, column, tuple(jnp.int32(size) for size in self.sizes))
 
 
 class Plan(NamedTuple):
-    """What is fixed when a sum is traced."""
+    """What is fixed when a sum is traced.
+
+    Attributes:
+        sample: maps (index, place, local, tables) to terms.
+        limit: maps local to the number of samples, or None.
+        count: number of samples N.
+        backend: see `jaxblur.Settings`.
+        grid: sizes.
+        locals: how many of the leaves are local; the others are tables.
+    """
 
     sample: Sample
     limit: Callable[..., Any] | None
     count: int
     backend: Backend
-    structure: Any
+    grid: Grid
+    locals: int
 
     def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
         """The terms of the samples of these numbers."""
-        return self.sample(index, *self.operands(leaves))
+        place = self.grid.place()
+        terms = self.sample(index, place, *self.operands(leaves))
+        shape = self.grid.height, self.grid.width, index.size
+        return tuple(jnp.broadcast_to(term, shape) for term in terms)
 
     def operands(self, leaves: Sequence[Any]) -> tuple[Any, Any]:
-        """Leaves as (local, tables)."""
-        return jax.tree.unflatten(self.structure, leaves)
+        """Leaves as (channels of each local one, flat tables)."""
+        local = [channels_of(leaf) for leaf in leaves[: self.locals]]
+        return local, [table.reshape(-1) for table in leaves[self.locals :]]
+
+
+def channels_of(leaf: jax.Array) -> tuple[jax.Array, ...]:
+    """The channels of an image as planes (H, W, 1); a scalar stays one."""
+    if leaf.ndim == 0 or leaf.shape[-1] == 1:
+        return (leaf,)
+    return tuple(lax.slice_in_dim(leaf, k, k + 1, axis=2) for k in range(leaf.shape[-1]))
 
 
 def sum_samples(
     sample: Sample,
     count: int,
-    moving: Any,
-    local: Any,
-    tables: Any,
+    moving: jax.Array,
+    local: Sequence[jax.Array],
+    tables: Sequence[jax.Array],
+    grid: Grid,
     backend: Backend = "auto",
     limit: Callable[..., Any] | None = None,
 ) -> Terms:
-    """Sum the terms of all samples of every pixel, ``sum_i sample(i, local, tables)``.
+    """Sum the terms of all samples of every pixel, ``sum_i sample(i, place, local, tables)``.
 
     Args:
-        sample: maps (sample indices (n,), local, tables) to a tuple of (H, W, n) arrays;
-            elementwise but for reads of the tables. Part of the compilation key.
+        sample: a function of scalars that works on planes too; part of the compilation key.
         count: number of samples N.
-        moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and mean
-            nothing.
-        local: pytree of (H, W, 1) planes and scalars that a pixel's samples use as they are; of
-            one sample alone also (H, W, K) images, taken apart by `sampling.channel`.
-        tables: pytree of (H * W,) arrays that samples read at other pixels.
+        moving: (H, W) bool, the pixels whose sums are wanted; those of others are finite and have
+            no meaning.
+        local: (H, W, K) images and scalars that a pixel uses at its own place.
+        tables: (h, w, C) images that samples read anywhere.
+        grid: sizes.
         backend: see `jaxblur.Settings`.
-        limit: as that of `Stages`, from local.
+        limit: maps local to the number of samples of each pixel.
 
     Returns:
-        A tuple of (H, W) sums. Differentiable in both pytrees, forward and reverse, to any order.
-        Derivatives with respect to ``local`` alone come out of one kernel and need no scatter,
-        unless there is but one sample: its terms may be many.
+        A tuple of (H, W) sums. Differentiable in local and tables, forward and reverse, to any
+        order. Derivatives with respect to ``local`` alone come out of one kernel and need no
+        scatter, unless there is only one sample: its terms may be many.
 
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    leaves, structure = jax.tree.flatten((local, tables))
-    plan = Plan(sample, limit, count, backend, structure)
-    return _sum(plan, moving, [jnp.asarray(leaf) for leaf in leaves])
+    plan = Plan(sample, limit, count, backend, grid, len(local))
+    return _sum(plan, moving, [jnp.asarray(leaf) for leaf in (*local, *tables)])
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _sum(plan: Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The sums, without derivatives."""
     by_xla = functools.partial(_sum_by_xla, plan)
-    local, tables = plan.operands(leaves)
-    operands = (moving[..., None], local), tables
-    native = native_gather(_only(plan), plan.count, image_size(moving), operands, plan.backend)
+    operands = [moving[..., None], *leaves]
+    native = native_gather(_only(plan), operands, plan.locals + 1, plan.grid, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
     return on_cpu(native, by_xla, moving, *leaves)
 
 
 def _only(plan: Plan) -> Stages:
-    """Stages that do nothing but sum a sample, where a plane says so."""
+    """Stages that sum a sample where a plane, the first of the local values, is not 0."""
+
+    def sample(index: Any, place: Place, prepared: Any, tables: Any) -> Any:
+        return plan.sample(index, place, prepared, tables)
+
     return Stages(
-        moving=lambda local, _: local,
-        prepare=lambda local, tables, found: found,
-        sample=plan.sample,
-        finish=lambda sums, *_: sums,
+        where=lambda place, local, tables: (local[0][0], ()),
+        prepare=lambda place, local, tables, found: local[1:],
+        sample=sample,
+        finish=lambda place, sums, prepared, local: sums,
         limit=plan.limit,
+        count=plan.count,
     )
 
 
@@ -127,12 +172,6 @@ def on_cpu(native: Callable[..., Any], other: Callable[..., Any], *operands: jax
     if {device.platform for device in jax.devices()} == {"cpu"}:
         return native(*operands)
     return lax.platform_dependent(*operands, cpu=native, default=other)
-
-
-def image_size(image: jax.Array) -> tuple[int, int]:
-    """(H, W)."""
-    height, width = image.shape[:2]
-    return height, width
 
 
 def _add(totals: Terms, more: Terms) -> Terms:
@@ -174,8 +213,7 @@ def _sum_jvp(plan, primals, tangents):
     (moving, leaves), tangents = primals, tangents[1]
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
     directions = [tangents[k] for k in active]
-    tables = len(leaves) - len(jax.tree.leaves(plan.operands(leaves)[1]))
-    if not active or (plan.count > 1 and active[-1] < tables):
+    if not active or (plan.count > 1 and active[-1] < plan.locals):
         return _local_derivatives(plan, moving, leaves, active, directions)
     change = _push.bind(moving, *leaves, *directions, plan=plan, active=tuple(active))
     return _sum(plan, moving, leaves), tuple(change)
@@ -185,24 +223,25 @@ _sum.defjvp(_sum_jvp, symbolic_zeros=True)
 
 
 def _with_derivatives(
-    plan: Plan, active: Sequence[int], index: jax.Array, local: Any, tables: Any
+    sample: Sample, active: Sequence[int], index: Any, place: Place, local: Any, tables: Any
 ) -> Terms:
-    """The terms of a sample, then their derivatives with respect to each active local leaf."""
-    leaves = jax.tree.leaves((local, tables))
+    """The terms of a sample, then their derivatives with respect to each active local value."""
 
-    def derivatives(position):
-        def of_leaf(leaf):
-            return plan.terms(index, replaced(leaves, [position], [leaf]))
+    def derivatives(position: int) -> Terms:
+        (value,) = local[position]
 
-        return jax.jvp(of_leaf, (leaves[position],), (jnp.ones_like(leaves[position]),))[1]
+        def of_value(value: Any) -> Terms:
+            return tuple(sample(index, place, replaced(local, [position], [(value,)]), tables))
 
-    terms = plan.terms(index, leaves)
+        return jax.jvp(of_value, (value,), (jnp.ones_like(value),))[1]
+
+    terms = tuple(sample(index, place, local, tables))
     return sum((derivatives(position) for position in active), start=terms)
 
 
 def _local_derivatives(plan, moving, leaves, active, directions):
     """The sums and their change, from one kernel that sums terms and derivatives."""
-    augmented = plan._replace(sample=functools.partial(_with_derivatives, plan, active))
+    augmented = plan._replace(sample=functools.partial(_with_derivatives, plan.sample, active))
     sums = _sum(augmented, moving, leaves)
     size = len(sums) // (1 + len(active))
     change = [jnp.zeros_like(total) for total in sums[:size]]
@@ -230,27 +269,27 @@ def _pull(plan: Plan, active: tuple[int, ...], moving: Any, leaves: Any, images:
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
 
     native = native_pull(
-        *(plan.sample, plan.limit, plan.count, image_size(moving), plan.operands(leaves), active),
-        *(_shapes(plan, leaves), plan.backend),
+        *(plan.sample, plan.limit, plan.count, leaves, plan.locals, active),
+        *([image.dtype for image in images], plan.grid, plan.backend),
     )
     if native is None:
         return by_xla(moving, *leaves, *images)
 
     def by_kernel(moving: jax.Array, *operands: jax.Array) -> tuple[jax.Array, ...]:
         images = [image[..., None] for image in operands[len(leaves) :]]
-        values = iter(native(moving, *operands[: len(leaves)], *images))
-        return tuple(_like(leaves[k], values) for k in active)
+        values = iter(native(moving[..., None], *operands[: len(leaves)], *images))
+        return tuple(_like(leaves[k], k >= plan.locals, values) for k in active)
 
     return on_cpu(by_kernel, by_xla, moving, *leaves, *images)
 
 
-def _like(leaf: jax.Array, values: Iterator[jax.Array]) -> jax.Array:
-    """The derivative by a leaf, from what the kernel returns next."""
+def _like(leaf: jax.Array, is_table: bool, values: Iterator[jax.Array]) -> jax.Array:
+    """The derivative by a leaf, from the next results of the kernel."""
+    if is_table:
+        return next(values).reshape(leaf.shape)
     if leaf.ndim == 0:
         return jnp.sum(next(values))
-    if leaf.ndim == 3:
-        return jnp.stack([next(values) for _ in range(leaf.shape[-1])], axis=-1)
-    return next(values)
+    return jnp.stack([next(values) for _ in range(leaf.shape[-1])], axis=-1)
 
 
 def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:

@@ -1,5 +1,5 @@
-/* Sums over the samples of every pixel, or the largest of what they leave at places of a table.
-   What stands between two @ is filled in by emit.py. */
+/* A program for every pixel of a grid: sums over samples, additions to tables, or the largest marks
+   at places of a table. emit.py fills in the text between two @. Sizes are known when it runs. */
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
@@ -10,19 +10,15 @@
 #include "xla/ffi/api/c_api.h"
 
 enum {
-  HEIGHT = @HEIGHT@,
-  WIDTH = @WIDTH@,
   COUNT = @COUNT@,
   SUMS = @SUMS@,
   RESULTS = @RESULTS@, /* of a pixel */
+  IMAGE = @IMAGE@, /* whether they are the channels of one image, or a plane each */
   KEPT = @KEPT@, /* of them that pixels which do not move take from the last argument */
   REST = @REST@, /* 0, or all of them if such pixels have results of their own */
   ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
   TABLES = @TABLES@, /* results that taps add to anywhere, or leave their marks in */
-  STRIP = TABLES ? 256 : WIDTH, /* pixels of a row at a time: what taps add to stays in the cache */
   ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time: a piece */
-  PIECES_OF_STRIP = (HEIGHT + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE,
-  PIECES = (WIDTH + STRIP - 1) / STRIP * PIECES_OF_STRIP,
   MOST_PARTS_WITH_TABLES = 8 /* each has tables of its own */
 };
 
@@ -30,15 +26,20 @@ typedef @ELEMENT@ Element; /* of such a table */
 
 @LANES@
 
-static const int64_t TABLE_SIZES[] = {@TABLE_SIZES@};
 static const bool ROWS_OF_THREE[] = {@ROWS_OF_THREE@}; /* with the room of four while added to */
-@CONSTANTS@
+
 /* A call. Threads take its parts in turn, so that it waits for none that has not begun. */
 struct Job {
+  int height, width; /* of the grid */
+  const int32_t* sizes; /* rows, columns, rows, columns, ... of the images */
+  int strip; /* pixels of a row at a time: of tables that samples add to, the part that they reach
+                stays in the cache */
+  int pieces_of_strip, pieces;
   const float* kept;
   void* const* arguments;
   float* results[RESULTS + 1];
   Element* tables[TABLES + 1];
+  int64_t table_sizes[TABLES + 1];
   Element* tables_of_part[MOST_PARTS_WITH_TABLES][TABLES + 1];
   int parts;
   std::atomic<int> next_part{0}, users{1};
@@ -50,11 +51,11 @@ struct Job {
 /* Results of the lanes that move; what is kept by the others. */
 static inline void store_results(const Job* job, int64_t pixel, Ints moving,
                                  const Floats* results, int lanes, bool more) {
-  if (KEPT == 0) {
+  if (!IMAGE) {
     for (int k = 0; k < RESULTS; ++k) store(job->results[k] + pixel, results[k], lanes);
     return;
   }
-  if (KEPT == RESULTS && !any(moving)) {
+  if (KEPT && KEPT == RESULTS && !any(moving)) {
     memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
     return;
   }
@@ -62,7 +63,7 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     const Ints own = ((int32_t)pixel + lane_numbers()) * (int32_t)KEPT;
     Floats columns[4] = {}, rows[4];
     for (int k = 0; k < RESULTS; ++k)
-      columns[k] = moving ? results[k] : k < KEPT ? read(job->kept, own + k) : Floats{};
+      columns[k] = !KEPT ? results[k] : moving ? results[k] : k < KEPT ? read(job->kept, own + k) : Floats{};
     make_rows(columns, rows);
     float memory[4][LANES];
     memcpy(memory, rows, sizeof memory);
@@ -78,14 +79,14 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     float* result = job->results[0] + (pixel + lane) * RESULTS;
     const float* kept = job->kept + (pixel + lane) * KEPT;
     for (int k = 0; k < RESULTS; ++k)
-      result[k] = moving[lane] ? values[k][lane] : k < KEPT ? kept[k] : 0.0f;
+      result[k] = !KEPT || moving[lane] ? values[k][lane] : k < KEPT ? kept[k] : 0.0f;
   }
 }
 
 static void sum_row(const Job* job, Element* const* tables, const int row, const int from,
                     const int until) {
   (void)tables;
-  const int64_t start = (int64_t)row * WIDTH;
+  const int64_t start = (int64_t)row * job->width;
   const Ints y = wide((int32_t)row);
 @ARGUMENTS@
   for (int first = from; first < until; first += LANES) {
@@ -113,10 +114,10 @@ static void sum_row(const Job* job, Element* const* tables, const int row, const
 
 /* Some rows of one strip. */
 static void sum_piece(const Job* job, Element* const* tables, int piece) {
-  const int from = piece / PIECES_OF_STRIP * STRIP;
-  const int row = piece % PIECES_OF_STRIP * ROWS_AT_ONCE;
-  const int until = from + STRIP < WIDTH ? from + STRIP : WIDTH;
-  const int end = row + ROWS_AT_ONCE < HEIGHT ? row + ROWS_AT_ONCE : HEIGHT;
+  const int from = piece / job->pieces_of_strip * job->strip;
+  const int row = piece % job->pieces_of_strip * ROWS_AT_ONCE;
+  const int until = from + job->strip < job->width ? from + job->strip : job->width;
+  const int end = row + ROWS_AT_ONCE < job->height ? row + ROWS_AT_ONCE : job->height;
   for (int k = row; k < end; ++k) sum_row(job, tables, k, from, until);
 }
 
@@ -124,7 +125,7 @@ static void sum_piece(const Job* job, Element* const* tables, int piece) {
    the same in every run, so that the same input gives the same bits. */
 static void sum_part(const Job* job, int part) {
   if (TABLES == 0) return sum_piece(job, job->tables, part);
-  for (int piece = part; piece < PIECES; piece += job->parts)
+  for (int piece = part; piece < job->pieces; piece += job->parts)
     sum_piece(job, job->tables_of_part[part], piece);
 }
 
@@ -169,21 +170,21 @@ static bool make_tables(Job* job) {
   bool enough = true;
   for (int part = 0; part < job->parts && TABLES; ++part) {
     for (int k = 0; k < TABLES; ++k) {
-      const int64_t size = ROWS_OF_THREE[k] ? TABLE_SIZES[k] / 3 * 4 : TABLE_SIZES[k];
+      const int64_t size = ROWS_OF_THREE[k] ? job->table_sizes[k] / 3 * 4 : job->table_sizes[k];
       const bool own = part || ROWS_OF_THREE[k];
       Element* table = own ? (Element*)calloc(size, sizeof(Element)) : job->tables[k];
       job->tables_of_part[part][k] = table;
       enough = enough && table;
     }
   }
-  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, TABLE_SIZES[k] * sizeof(Element));
+  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, job->table_sizes[k] * sizeof(Element));
   return enough;
 }
 
 static void join_tables(Job* job, bool enough) {
   for (int part = 0; part < job->parts && TABLES; ++part) {
     for (int k = 0; k < TABLES; ++k) {
-      const int64_t size = enough ? TABLE_SIZES[k] : 0;
+      const int64_t size = enough ? job->table_sizes[k] : 0;
       Element *table = job->tables[k], *more = job->tables_of_part[part][k];
       if (more == table) continue;
       if (ROWS_OF_THREE[k]) {
@@ -200,7 +201,7 @@ static void join_tables(Job* job, bool enough) {
 
 static bool run(Job* job, XLA_FFI_CallFrame* frame) {
   const int helpers = count_helpers(frame);
-  const int most = TABLES ? MOST_PARTS_WITH_TABLES : PIECES;
+  const int most = TABLES ? MOST_PARTS_WITH_TABLES : job->pieces;
   job->parts = TABLES && helpers + 1 < most ? helpers + 1 : most;
   const bool enough = make_tables(job);
   if (enough) {
@@ -223,6 +224,17 @@ static bool run(Job* job, XLA_FFI_CallFrame* frame) {
   return enough;
 }
 
+/* Rows and columns of the grid, then of every image: the only attribute of a call. */
+static const int32_t* sizes_of(const XLA_FFI_CallFrame* frame) {
+  return (const int32_t*)((const XLA_FFI_Array*)frame->attrs.attrs[0])->data;
+}
+
+static int64_t elements_of(const XLA_FFI_Buffer* buffer) {
+  int64_t count = 1;
+  for (int64_t axis = 0; axis < buffer->rank; ++axis) count *= buffer->dims[axis];
+  return count;
+}
+
 static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
   XLA_FFI_Error_Create_Args arguments = {};
   arguments.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
@@ -243,12 +255,20 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   for (int k = 0; k < ARGUMENTS; ++k)
     arguments[k] = ((XLA_FFI_Buffer*)frame->args.args[k])->data;
   Job* job = new Job;
+  const int32_t* sizes = sizes_of(frame);
+  job->height = sizes[0], job->width = sizes[1], job->sizes = sizes + 2;
+  job->strip = TABLES ? 256 : job->width;
+  job->pieces_of_strip = (job->height + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
+  job->pieces = (job->width + job->strip - 1) / job->strip * job->pieces_of_strip;
   job->kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
   job->arguments = arguments;
-  const int buffers = KEPT ? 1 : RESULTS;
+  const int buffers = IMAGE ? 1 : RESULTS;
   for (int k = 0; k < buffers; ++k)
     job->results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
-  for (int k = 0; k < TABLES; ++k)
-    job->tables[k] = (Element*)((XLA_FFI_Buffer*)frame->rets.rets[buffers + k])->data;
+  for (int k = 0; k < TABLES; ++k) {
+    const XLA_FFI_Buffer* table = (XLA_FFI_Buffer*)frame->rets.rets[buffers + k];
+    job->tables[k] = (Element*)table->data;
+    job->table_sizes[k] = elements_of(table);
+  }
   return run(job, frame) ? nullptr : out_of_memory(frame->api);
 }

@@ -26,48 +26,105 @@ class Level(enum.IntEnum):
 
 
 @dataclasses.dataclass(frozen=True)
-class Value:
-    """An expression in C++.
+class Scalar:
+    """An expression: one value for all pixels or samples, or one a lane.
 
     Attributes:
         code: the expression, or the name of a variable.
-        dtype: name of the array type.
+        dtype: name of its type.
         level: where it is computed.
-        table: whether it is an array that samples read at other pixels.
-        channels: of an image that a pixel reads at its own place only; 0 for any other value.
-        number: what it is, where that is known.
-        base: (expression, whole number, factor) if it is an index that is known to be that number
-            more than the expression, and that a multiple of the factor.
-        compared: the function that gives the first or the second of two expressions as it holds or
-            not, and the two, where it is the comparison of two floats.
-        floored: the expression that it is the floor of, where that is known.
-        reciprocal: the expression of one by it, where that is exact.
-        additions: (index, value) pairs, where it is a table that taps add to.
-        columns: its channels, where it is an image that is put together from planes.
+        facts: what is known of it beyond that.
     """
 
     code: str
     dtype: str
     level: Level = Level.UNIFORM
-    table: bool = False
-    channels: int = 0
-    number: Any = None
-    base: tuple[str, int, int] | None = None
-    compared: tuple[str, str, str] | None = None
-    floored: str = ""
-    reciprocal: str = ""
-    additions: "tuple[tuple[Value, Value], ...]" = ()
-    columns: "tuple[Value, ...]" = ()
+    facts: "Facts" = dataclasses.field(default_factory=lambda: NOTHING)
+
+    @property
+    def wide(self) -> bool:
+        """Whether there is one value a lane."""
+        return self.level >= Level.PIXEL
+
+    @property
+    def number(self) -> Any:
+        """Its value where that is a literal, else None."""
+        return self.facts.number
 
     @property
     def ordered(self) -> bool:
         """Whether it is known not to be NaN."""
         return self.number is not None and not np.isnan(self.number)
 
-    @property
-    def wide(self) -> bool:
-        """Whether there is one value a lane."""
-        return self.level >= Level.PIXEL
+
+@dataclasses.dataclass(frozen=True)
+class Facts:
+    """What is known of the value of an expression.
+
+    Attributes:
+        number: its value.
+        base: (expression, whole number, factor) of an index that is that number more than the
+            expression, which is a multiple of the factor.
+        compared: of a comparison of two floats, the function that gives the first or the second as
+            it holds or not, and the two.
+        floored: the expression that it is the floor of.
+        reciprocal: the expression of one divided by it, where that is exact.
+    """
+
+    number: Any = None
+    base: tuple[str, int, int] | None = None
+    compared: tuple[str, str, str] | None = None
+    floored: str = ""
+    reciprocal: str = ""
+
+
+NOTHING = Facts()
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A flat array in memory that is read at places of its own.
+
+    Attributes:
+        code: name of the pointer.
+        dtype: name of the type of its elements.
+    """
+
+    code: str
+    dtype: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Own:
+    """A channel of an image at the pixel itself, loaded where it is first used.
+
+    Attributes:
+        code: name of the pointer.
+        dtype: name of the type.
+        channels: of the image.
+        channel: which one.
+    """
+
+    code: str
+    dtype: str
+    channels: int = 1
+    channel: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Additions:
+    """A flat array of zeros that samples add to.
+
+    Attributes:
+        dtype: name of the type of its elements.
+        pairs: (index, value) of each addition.
+    """
+
+    dtype: str
+    pairs: "tuple[tuple[Scalar, Scalar], ...]" = ()
+
+
+Value = Scalar | Own | Table | Additions
 
 
 def c_type(dtype: Any, wide: bool) -> str:
@@ -83,28 +140,32 @@ def c_type(dtype: Any, wide: bool) -> str:
         raise Unsupported(f"values of type {np.dtype(dtype).name}") from None
 
 
-def literal(number: Any) -> Value:
+def literal(number: Any) -> Scalar:
     """A constant, its float digits kept exactly."""
     array = np.asarray(number)
     dtype = array.dtype.name
     if dtype == "bool":
-        return Value("true" if array else "false", dtype, number=array)
+        return _known("true" if array else "false", dtype, array)
     if np.issubdtype(array.dtype, np.integer):
-        return Value(f"int32_t({int(array)})", "int32", number=array)
+        return _known(f"int32_t({int(array)})", "int32", array)
     if dtype != "float32":
         raise Unsupported(f"constants of type {dtype}")
     code = float(array).hex() if np.isfinite(array) else "NAN"
     if np.isinf(array):
         code = "INFINITY" if array > 0 else "-INFINITY"
-    return Value(f"float({code})", dtype, number=array)
+    return _known(f"float({code})", dtype, array)
+
+
+def _known(code: str, dtype: str, number: Any) -> Scalar:
+    return Scalar(code, dtype, facts=Facts(number=number))
 
 
 def _operator(symbol: str) -> Callable[..., str]:
     return lambda _, a, b: f"({a.code} {symbol} {b.code})"
 
 
-def _quotient(_, a: Value, b: Value) -> str:
-    return f"({a.code} * {b.reciprocal})" if b.reciprocal else f"({a.code} / {b.code})"
+def _quotient(_, a: Scalar, b: Scalar) -> str:
+    return f"({a.code} * {b.facts.reciprocal})" if b.facts.reciprocal else f"({a.code} / {b.code})"
 
 
 def _function(name: str) -> Callable[..., str]:
@@ -114,7 +175,7 @@ def _function(name: str) -> Callable[..., str]:
 def _extreme(name: str, ordered: str) -> Callable[..., str]:
     """Maximum or minimum; the second form keeps a NaN where a literal stands first."""
 
-    def write(_, a: Value, b: Value) -> str:
+    def write(_, a: Scalar, b: Scalar) -> str:
         if a.dtype != "float32":
             return f"{name}_int({a.code}, {b.code})"
         if a.ordered:
@@ -126,27 +187,27 @@ def _extreme(name: str, ordered: str) -> Callable[..., str]:
     return write
 
 
-def _clamp(parameters: Any, low: Value, value: Value, high: Value) -> str:
+def _clamp(parameters: Any, low: Scalar, value: Scalar, high: Scalar) -> str:
     raised = dataclasses.replace(value, code=_extreme("max", "larger")(parameters, low, value))
     return _extreme("min", "smaller")(parameters, raised, high)
 
 
-def widened(value: Value, level: Level) -> Value:
+def widened(value: Scalar, level: Level) -> Scalar:
     """The value with one copy a lane, if the result has one a lane."""
-    if value.wide or value.table or level < Level.PIXEL:
+    if value.wide or level < Level.PIXEL:
         return value
     return dataclasses.replace(value, code=f"wide({value.code})")
 
 
-def _select(_, which: Value, *cases: Value) -> str:
+def _select(_, which: Scalar, *cases: Scalar) -> str:
     if which.dtype != "bool" or len(cases) != 2:
         raise Unsupported("select_n of an integer")
-    if which.compared and which.compared[1:] == (cases[1].code, cases[0].code):
-        return f"{which.compared[0]}({cases[1].code}, {cases[0].code})"
+    if which.facts.compared and which.facts.compared[1:] == (cases[1].code, cases[0].code):
+        return f"{which.facts.compared[0]}({cases[1].code}, {cases[0].code})"
     return f"({which.code} ? {cases[1].code} : {cases[0].code})"
 
 
-def _power(parameters: Any, value: Value) -> str:
+def _power(parameters: Any, value: Scalar) -> str:
     exponent = parameters["y"]
     if not 1 <= abs(exponent) <= 8:
         raise Unsupported(f"integer_pow with exponent {exponent}")
@@ -154,7 +215,7 @@ def _power(parameters: Any, value: Value) -> str:
     return product if exponent > 0 else f"(1.0f / {product})"
 
 
-def _convert(parameters: Any, value: Value) -> str:
+def _convert(parameters: Any, value: Scalar) -> str:
     dtype = np.dtype(parameters["new_dtype"]).name
     if dtype == "bool":
         return f"({value.code} != 0)"
@@ -163,31 +224,27 @@ def _convert(parameters: Any, value: Value) -> str:
         return f"{kind}({value.code})"
     integer = f"(-{value.code})" if value.dtype == "bool" else value.code
     if kind == "Ints":
-        if value.floored:
-            return f"floor_to_ints({value.floored})"
+        if value.facts.floored:
+            return f"floor_to_ints({value.facts.floored})"
         return f"to_ints({value.code})" if value.dtype == "float32" else integer
     return value.code if value.dtype == "float32" else f"to_floats({integer})"
 
 
-def _remainder(_, a: Value, b: Value) -> str:
+def _remainder(_, a: Scalar, b: Scalar) -> str:
     return f"fmodf({a.code}, {b.code})" if a.dtype == "float32" else f"({a.code} % {b.code})"
 
 
-def _absolute(_, a: Value) -> str:
+def _absolute(_, a: Scalar) -> str:
     return f"fabsf({a.code})" if a.dtype == "float32" else f"max_int({a.code}, -{a.code})"
 
 
-def _negation(_, a: Value) -> str:
+def _negation(_, a: Scalar) -> str:
     return f"(!{a.code})" if a.dtype == "bool" and not a.wide else f"(~{a.code})"
 
 
-def _round(parameters: Any, a: Value) -> str:
+def _round(parameters: Any, a: Scalar) -> str:
     to_even = parameters["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
     return f"{'rintf' if to_even else 'roundf'}({a.code})"
-
-
-def _same(_, value: Value, *_more: Value) -> str:
-    return value.code
 
 
 OPERATIONS: dict[str, Callable[..., str]] = {
@@ -195,16 +252,13 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "add": _operator("+"),
     "add_any": _operator("+"),
     "and": _operator("&"),
-    "broadcast_in_dim": _same,
     "ceil": _function("ceilf"),
     "clamp": _clamp,
     "convert_element_type": _convert,
-    "copy": _same,
     "cos": _function("cosf"),
     "div": _quotient,
     "eq": _operator("=="),
     "exp": _function("expf"),
-    "expand_dims": _same,
     "floor": _function("floorf"),
     "ge": _operator(">="),
     "gt": _operator(">"),
@@ -222,7 +276,6 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "or": _operator("|"),
     "pow": _function("powf"),
     "rem": _remainder,
-    "reshape": _same,
     "round": _round,
     "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
     "select_n": _select,
@@ -230,8 +283,6 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "sin": _function("sinf"),
     "sqrt": _function("sqrtf"),
     "square": lambda _, a: f"({a.code} * {a.code})",
-    "squeeze": _same,
-    "stop_gradient": _same,
     "sub": _operator("-"),
     "tanh": _function("tanhf"),
 }

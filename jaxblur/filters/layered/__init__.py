@@ -1,0 +1,4 @@
+"""The layered filter: motion blur by slices of time."""
+
+from .reaching import fine_tile as fine_tile
+from .slices import LayeredParameters as LayeredParameters, layered as layered

@@ -1,0 +1,202 @@
+"""Pass 1 of `layered`: the motion of every pixel, cleaned of mixtures at silhouettes.
+
+A renderer that averages vectors over a pixel, as Blender does, gives pixels on a silhouette a
+velocity between that of the object and that of the background, although nothing moves that way.
+"""
+
+import functools
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...frame import Frame
+from ...kernels import At, Image, Outcome, each_pixel
+from ...safe_math import safe_norm, shortening
+from ...settings import Settings
+from .._weights import SPEED_FLOOR, finite_depth
+
+NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
+
+_LONGEST = 1e18
+"""Pixels to which neighbors' velocities are cut, so that no square overflows."""
+
+THIN = 6
+"""Farther neighbors, of eight, that make a pixel part of something one pixel wide."""
+
+Vector = Sequence[Array]
+
+
+class Buffers(NamedTuple):
+    """Images that the program reads.
+
+    Attributes:
+        motion: (H, W, 2) velocity, or (H, W, 4) path.
+        depth: (H, W, 1) scene units.
+    """
+
+    motion: Image
+    depth: Image
+
+
+class Limits(NamedTuple):
+    """Numbers that the program uses.
+
+    Attributes:
+        separation: per unit of log depth, > 0; 20 separates depths that differ by 5 percent.
+        coverage: least share of a pixel that a thing one pixel wide covers, in (0, 1].
+    """
+
+    separation: Array
+    coverage: Array
+
+
+class Motion(NamedTuple):
+    """The motion of a pixel, the channels of one image.
+
+    Attributes:
+        x: of the velocity, within the radius, pixels to the right.
+        y: pixels downward.
+        log_depth: natural logarithm of the pixel's own depth.
+        taken_from: the pixel that the motion is from, see `taken_from`.
+    """
+
+    x: Float[Array, "*a"]
+    y: Float[Array, "*a"]
+    log_depth: Float[Array, "*a"]
+    taken_from: Float[Array, "*a"]
+
+
+def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -> Outcome:
+    """A pixel's motion; at a jump of depth, that of its own side least like the other side.
+
+    Of the 3 x 3 neighbors those within ``1 / separation`` of the pixel in log depth are its own
+    side, the others the other side. Where there is another side, the pixel takes the motion, its
+    own or one of its own side, whose velocity is farthest from the mean of the other side.
+
+    A thing one pixel wide has no pure pixel. There the velocity is extrapolated, away from the mean
+    of the other side, until it is slowest: a pole that moves with the camera before a background
+    that does not is at rest.
+    """
+    (depth,) = images.depth.here()
+    own_velocity = _velocity(images.motion.here())
+
+    # Which neighbors lie apart in depth, and which behind.
+    near = [
+        (
+            jnp.clip(at.row + down, 0, images.depth.height - 1),
+            jnp.clip(at.column + right, 0, images.depth.width - 1),
+        )
+        for down, right in NEIGHBORS
+    ]
+    step = jnp.exp(1 / limits.separation)
+    own_depth = finite_depth(depth)
+    farther, nearer = own_depth * step, own_depth / step
+    depths = [finite_depth(images.depth.read(*place)[0]) for place in near]
+    behind = [d > farther for d in depths]
+    apart = [far | (d < nearer) for far, d in zip(behind, depths, strict=True)]
+
+    def motion(velocity: Vector, number: Array) -> Motion:
+        x, y = velocity
+        shorter = shortening(safe_norm(x, y), settings.radius)
+        return Motion(x * shorter, y * shorter, jnp.log(finite_depth(depth)), number)
+
+    # The mean velocity of the other side.
+    own = _cut(own_velocity)
+    vectors = [_cut(_velocity(images.motion.read(*place))) for place in near]
+    count = jnp.maximum(_count(apart, own[0]), 1)
+    mean = [
+        _sum(jnp.where(a, vector[axis], 0) for a, vector in zip(apart, vectors, strict=True))
+        / count
+        for axis in (0, 1)
+    ]
+
+    # Of the own side, the velocity farthest from it.
+    def distance(vector: Vector) -> Array:
+        return jnp.square(vector[0] - mean[0]) + jnp.square(vector[1] - mean[1])
+
+    best, taken, number = distance(own), own, jnp.zeros_like(own[0])
+    for a, vector, (down, right) in zip(apart, vectors, NEIGHBORS, strict=True):
+        take = (distance(vector) > best) & ~a
+        best = jnp.where(take, distance(vector), best)
+        taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
+        number = jnp.where(take, 4.0 * down + right, number)
+    thin = _count(behind, own[0]) >= THIN
+    pure = motion(_extrapolated(taken, mean, thin, limits.coverage), number)
+    return Outcome(
+        pure,
+        where=functools.reduce(jnp.logical_or, apart),
+        otherwise=motion(own_velocity, jnp.zeros_like(own_velocity[0])),
+    )
+
+
+def _velocity(channels: Sequence[Array]) -> Vector:
+    """Velocity x, y of a pixel: that itself, or half of its path from opening to closing."""
+    if len(channels) == 2:
+        return channels
+    opening_x, opening_y, closing_x, closing_y = channels
+    return (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
+
+
+def _cut(vector: Vector) -> Vector:
+    """The vector, no longer than squares of differences allow."""
+    return [jnp.clip(part, -_LONGEST, _LONGEST) for part in vector]
+
+
+def _sum(terms: Iterable[Array]) -> Array:
+    return functools.reduce(jnp.add, terms)
+
+
+def _count(conditions: Sequence[Array], like: Array) -> Array:
+    return _sum(condition.astype(like.dtype) for condition in conditions)
+
+
+def _extrapolated(vector: Vector, other: Vector, thin: Array, coverage: Array) -> Vector:
+    """The slowest velocity of which at least the coverage, mixed with the other, is the vector.
+
+    ``vector = a v + (1 - a) other``, so that ``v = vector + s (vector - other)`` with
+    ``s = 1/a - 1``, 0 <= s <= 1/coverage - 1. The vector itself where nothing is thin.
+    """
+    gap = [a - b for a, b in zip(vector, other, strict=True)]
+    squared = jnp.square(gap[0]) + jnp.square(gap[1])
+    differ = squared > SPEED_FLOOR**2
+    slowest = -(vector[0] * gap[0] + vector[1] * gap[1]) / jnp.where(differ, squared, 1)
+    share = jnp.where(thin & differ, jnp.clip(slowest, 0, 1 / coverage - 1), 0)
+    return [a + share * g for a, g in zip(vector, gap, strict=True)]
+
+
+def motion_of(
+    frame: Frame, separation: Array, coverage: Array, settings: Settings
+) -> Float[Array, "height width 4"]:
+    """The motion of every pixel, see `purest_motion`.
+
+    Args:
+        frame: its depth and path are used, or its velocity where there is no path.
+        separation: see `Limits`.
+        coverage: see `Limits`.
+        settings: radius and backend are used.
+
+    Returns:
+        (H, W, 4), see `Motion`. The derivative is that of the motion taken.
+    """
+    height, width = frame.depth.shape
+    motion = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
+    return each_pixel(
+        *(purest_motion, (height, width), Buffers(Image(motion), Image(frame.depth))),
+        *(Limits(separation, coverage), settings),
+        backend=settings.backend,
+    )
+
+
+def taken_from(number: Float[Array, "*shape"]) -> tuple[Float[Array, "*shape"], ...]:
+    """Offset of the pixel that a motion was taken from.
+
+    Args:
+        number: of a `Motion`, four times the rows and the columns to it.
+
+    Returns:
+        Whole pixels to the right and downward, -1 to 1 each.
+    """
+    down = jnp.floor(number / 4 + 0.5)
+    return number - 4 * down, down

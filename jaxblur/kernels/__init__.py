@@ -1,0 +1,18 @@
+"""The engine: runs programs of one pixel for all pixels, with derivatives; knows nothing of blur.
+
+Imports nothing of jaxblur but `settings`, `safe_math` and `_util`. The README says how it works.
+"""
+
+from .gathers import cond_of_values as cond_of_values, unchanged as unchanged
+from .passes import (
+    each_pixel as each_pixel,
+    largest_in_tiles as largest_in_tiles,
+    largest_marks as largest_marks,
+)
+from .program import (
+    At as At,
+    Image as Image,
+    Outcome as Outcome,
+    mark_over as mark_over,
+    sum_over as sum_over,
+)

@@ -1,0 +1,341 @@
+"""Run the stages of a program for every pixel, with their derivatives.
+
+On a CPU with a C++ compiler all stages become one native kernel (`.cpp`); elsewhere they run one
+after the other, with `sum_samples` in the middle.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
+
+from ..settings import Backend
+from .cpp import native_gather
+from .sums import Grid, Plan, on_cpu, replaced, sum_samples
+from .tracing import Place, Stages
+
+
+def run_stages(
+    stages: Stages,
+    kept: jax.Array | None,
+    local: Sequence[jax.Array],
+    tables: Sequence[jax.Array],
+    grid: Grid,
+    backend: Backend = "auto",
+) -> jax.Array:
+    """The results of a program's stages at every pixel.
+
+    Args:
+        stages: of the program. Part of the compilation key.
+        kept: (H, W, K) image that the pixels keep whose results are not wanted, K at most the
+            number R of results; further channels are 0 there. None where all are wanted, or the
+            others have results of their own.
+        local: (H, W, K) images and scalars.
+        tables: (h, w, C) images that are read anywhere.
+        grid: sizes.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        The results, (H, W, R). Differentiable as `sum_samples`.
+
+    Raises:
+        ValueError: the backend is ``native`` and there is no compiler, or no native form.
+    """
+    sample = stages.sample or _no_terms
+    plan = Plan(sample, stages.limit, stages.count, backend, grid, len(local))
+    leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
+    return _gather(plan, stages, kept, leaves)
+
+
+def _no_terms(*_: Any) -> tuple[()]:
+    return ()
+
+
+def cond_of_values(
+    predicate: jax.Array, usual: Callable[..., Any], other: Callable[..., Any], operands: Any
+) -> Any:
+    """`lax.cond` for values; derivatives are those of `usual`, whatever the predicate.
+
+    For a shortcut whose result and derivatives `usual` gives too. A conditional in a derivative
+    copies every image that reverse mode keeps.
+
+    Args:
+        predicate: bool, whether `usual` is computed.
+        usual: function of the operands.
+        other: the shortcut, a function of the operands.
+        operands: tuple of pytrees of arrays; the functions use nothing else that is traced.
+
+    Returns:
+        The result of one of both.
+    """
+    leaves, structure = jax.tree.flatten(operands)
+    functions = [
+        lambda leaves, f=f: jax.tree.map(_batch_first, f(*jax.tree.unflatten(structure, leaves)))
+        for f in (usual, other)
+    ]
+
+    @jax.custom_jvp
+    def choose(predicate, leaves):
+        return lax.cond(predicate, *functions, leaves)
+
+    def of_usual(primals, tangents):
+        (_, leaves), (_, tangents) = primals, tangents
+        active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+
+        def of_active(values):
+            return functions[0](replaced(leaves, active, values))
+
+        return jax.jvp(of_active, ([leaves[k] for k in active],), ([tangents[k] for k in active],))
+
+    choose.defjvp(of_usual, symbolic_zeros=True)
+    return choose(predicate, leaves)
+
+
+def unchanged(color: jax.Array, computed: jax.Array) -> jax.Array:
+    """The shortcut of `cond_of_values` that gives a picture back.
+
+    Args:
+        color: the picture, an operand.
+        computed: the predicate, an operand too.
+
+    Returns:
+        The color, where it is not computed.
+    """
+    # By a product with one: XLA copies a result that is an operand three times over.
+    return color * jnp.where(computed, 0, 1).astype(color.dtype)
+
+
+def _batch_first(result: jax.Array) -> jax.Array:
+    """The same; under vmap the batch comes first.
+
+    The result of a map has it second; with jax 0.10.2 the derivative of a custom_jvp then came out
+    with the batch taken for another axis.
+    """
+    return result.T.T
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _gather(
+    plan: Plan, stages: Stages, kept: jax.Array | None, leaves: list[jax.Array]
+) -> jax.Array:
+    """The results, without derivatives."""
+    channels = 0 if kept is None else kept.shape[-1]
+    native = native_gather(stages, leaves, plan.locals, plan.grid, plan.backend, channels)
+    count, images = len(leaves), [] if kept is None else [kept]
+
+    def by_stages(backend, *operands):
+        wanted, results = _by_stages(plan._replace(backend=backend), stages, operands[:count])
+        return _select(wanted, results, *operands[count:])
+
+    if native is None:
+        return by_stages(plan.backend, *leaves, *images)
+    return on_cpu(
+        lambda *operands: native(*operands)[0],
+        functools.partial(by_stages, "xla"),
+        *(*leaves, *images),
+    )
+
+
+def _select(wanted: jax.Array, results: jax.Array, kept: jax.Array | None = None) -> jax.Array:
+    """Results where they are wanted; elsewhere what is kept, and 0 beyond its channels."""
+    if kept is None:
+        return results
+    missing = results.shape[-1] - kept.shape[-1]
+    kept = jnp.pad(kept, ((0, 0), (0, 0), (0, missing))) if missing else kept
+    return jnp.where(wanted, results, kept)
+
+
+def _by_stages(
+    plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Which results are wanted (H, W, 1), and the results: one stage after the other."""
+    wanted, prepared = _prepared(plan, stages, leaves)
+    shape = plan.grid.height, plan.grid.width, 1
+    if stages.sample is None:
+        return wanted, _image(shape, prepared)
+    flat, structure = jax.tree.flatten(prepared)
+    sums = sum_samples(
+        *(_of_planes(stages.sample, structure), stages.count, wanted[..., 0], flat),
+        *(leaves[plan.locals :], plan.grid, plan.backend),
+        stages.limit and _limit_of_planes(stages.limit, structure),
+    )
+    planes = [total[..., None] for total in sums]
+
+    def finish(sums: Any, prepared: Any, leaves: Any) -> list[jax.Array]:
+        local, _ = plan.operands(leaves)
+        return stages.finish(plan.grid.place(), sums, prepared, local)
+
+    results = jax.checkpoint(finish)(planes, prepared, list(leaves))
+    return wanted, _image(shape, results)
+
+
+def _image(shape: tuple[int, int, int], planes: Sequence[jax.Array]) -> jax.Array:
+    """Planes, or scalars, as the channels of one image."""
+    return jnp.concatenate([jnp.broadcast_to(plane, shape) for plane in planes], axis=-1)
+
+
+def _of_planes(sample: Callable[..., Any], structure: Any) -> Callable[..., Any]:
+    """A sample that takes each prepared value as an image of one channel."""
+
+    def of_planes(index: Any, place: Place, local: Any, tables: Any) -> Any:
+        prepared = jax.tree.unflatten(structure, [value for (value,) in local])
+        return sample(index, place, prepared, tables)
+
+    return of_planes
+
+
+def _limit_of_planes(limit: Callable[..., Any], structure: Any) -> Callable[..., Any]:
+    return lambda local: limit(jax.tree.unflatten(structure, [value for (value,) in local]))
+
+
+def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[jax.Array, Any]:
+    """Which results are wanted, and the prepared values: planes are the terms of one sample.
+
+    Their derivatives are then those of a sum, in native code too, and reverse mode computes these
+    stages once more and keeps none of their dozens of planes.
+    """
+
+    def prepare(place: Place, local: Any, tables: Any) -> tuple[Any, list[Any]]:
+        wanted, found = stages.where(place, local, tables)
+        prepared = stages.prepare(place, local, tables, found)
+        if stages.otherwise is None:
+            return wanted, prepared
+        rest = stages.otherwise(place, local, tables, found)
+        return wanted, [jnp.where(wanted, *pair) for pair in zip(prepared, rest, strict=True)]
+
+    grid = plan.grid
+    local, tables = plan.operands(leaves)
+    values, structure = jax.tree.flatten(jax.eval_shape(prepare, grid.place(), local, tables)[1])
+    dtype = jnp.result_type(*(value.dtype for value in values))
+    planes = [k for k, value in enumerate(values) if value.ndim == 3]
+
+    def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:
+        wanted, prepared = prepare(place, local, tables)
+        values = jax.tree.leaves(prepared)
+        return [wanted.astype(dtype), *(values[k] for k in planes)]
+
+    everywhere = jnp.ones((grid.height, grid.width), bool)
+    wanted, *found = sum_samples(
+        *(one_sample, 1, everywhere, leaves[: plan.locals], leaves[plan.locals :], grid),
+        plan.backend,
+    )
+    # Scalars are as fast to compute as to read.
+    scalars = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
+    values = replaced(scalars, planes, [plane[..., None] for plane in found])
+    return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
+
+
+def _gather_jvp(plan, stages, primals, tangents):
+    """Derivatives are those of the stages; only inputs with a tangent are differentiated."""
+    (kept, leaves), (kept_change, tangents) = primals, tangents
+    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    directions = [tangents[k] for k in active]
+    changes = kept is not None and not isinstance(kept_change, SymbolicZero)
+    if all(leaves[k].ndim == 0 for k in active):
+        values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
+        if not changes:
+            return values, change
+        wanted = stages.where(plan.grid.place(), *plan.operands(leaves))[0]
+    else:
+
+        def results(values):
+            wanted, results = _by_stages(plan, stages, replaced(leaves, active, values))
+            return results, wanted
+
+        values, change, wanted = jax.jvp(
+            results, ([leaves[k] for k in active],), (directions,), has_aux=True
+        )
+        values = _select(wanted, values, kept)
+    if kept is None:
+        return values, change
+    return values, _select(wanted, change, kept_change if changes else jnp.zeros_like(kept))
+
+
+def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
+    """The results and their change with some scalars, from one kernel: derivatives are images."""
+    augmented = _with_scalar_derivatives(plan, stages, active)
+    images = _gather(plan, augmented, kept, leaves)
+    size = images.shape[-1] // (1 + len(active))
+    blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
+    change = jnp.zeros_like(blocks[0])
+    for block, direction in zip(blocks[1:], directions, strict=True):
+        change = change + block * direction
+    return blocks[0], change
+
+
+def _carrying(
+    plan: Plan, stages: Stages, active: Sequence[int], stage: Callable[..., Any]
+) -> Callable[..., Any]:
+    """A stage before the samples, and its derivative with respect to each active scalar."""
+
+    def carried(place, local, tables, found):
+        def of_scalar(position, value):
+            moved = replaced(local, [position], [(value,)])
+            return stage(place, moved, tables, stages.where(place, moved, tables)[1])
+
+        changes = []
+        for k in active:
+            (value,) = local[k]
+            along = functools.partial(of_scalar, k)
+            changes.append(jax.jvp(along, (value,), (jnp.ones_like(value),))[1])
+        return stage(place, local, tables, found), changes
+
+    return carried
+
+
+def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
+    """Stages that carry the derivative with respect to each active scalar along."""
+    carrying = functools.partial(_carrying, plan, stages, active)
+    if stages.sample is None:
+        otherwise = stages.otherwise and _flat(carrying(stages.otherwise))
+        return stages._replace(prepare=_flat(carrying(stages.prepare)), otherwise=otherwise)
+
+    def sample(index, place, prepared, tables):
+        value, changes = prepared
+
+        def terms(value):
+            return stages.sample(index, place, value, tables)
+
+        return _with_changes(terms, (value,), [(change,) for change in changes])
+
+    def finish(place, sums, prepared, local):
+        value, changes = prepared
+        size = len(sums) // (1 + len(changes))
+        blocks = [list(sums[k : k + size]) for k in range(0, len(sums), size)]
+
+        def results(sums, value):
+            return stages.finish(place, sums, value, local)
+
+        return _with_changes(
+            results, (blocks[0], value), list(zip(blocks[1:], changes, strict=True))
+        )
+
+    limit = stages.limit and functools.partial(_of_value, stages.limit)
+    return stages._replace(
+        prepare=carrying(stages.prepare), sample=sample, finish=finish, limit=limit
+    )
+
+
+def _with_changes(
+    function: Callable[..., Any], values: tuple[Any, ...], changes: Sequence[tuple[Any, ...]]
+) -> tuple[jax.Array, ...]:
+    """Results of a function, then how they change in each direction; what is shared comes once."""
+    results, push = jax.linearize(function, *values)
+    return sum((tuple(push(*change)) for change in changes), start=tuple(results))
+
+
+def _flat(stage: Callable[..., Any]) -> Callable[..., Any]:
+    """A stage whose planes follow each other."""
+    return lambda *operands: jax.tree.leaves(stage(*operands))
+
+
+def _of_value(limit: Callable[..., Any], prepared: tuple[Any, Any]) -> Any:
+    """The limit, of what is prepared without its derivatives."""
+    return limit(prepared[0])
+
+
+_gather.defjvp(_gather_jvp, symbolic_zeros=True)

@@ -1,0 +1,232 @@
+"""The passes that a filter is made of: programs for each pixel, for tiles, and for marks."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ..settings import Backend
+from .gathers import run_stages
+from .program import At, Image, Outcome
+from .scatter import run_marks
+from .sums import Grid
+from .tracing import Program, Traced, flatten, trace
+
+
+def each_pixel(
+    program: Program,
+    size: tuple[int, int],
+    images: Any,
+    parameters: Any = None,
+    settings: Any = None,
+    *,
+    kept: jax.Array | None = None,
+    backend: Backend = "auto",
+) -> Float[Array, "height width results"]:
+    """Run a program for every pixel of a grid.
+
+    Args:
+        program: ``program(at, images, parameters, settings) -> Outcome``, a function of scalars at
+            module level; it is traced once for all sizes.
+        size: (H, W) of the grid.
+        images: NamedTuple of `Image`; an image whose `here` is used must have this size.
+        parameters: pytree of scalars.
+        settings: hashable, fixed when the program is traced.
+        kept: (H, W, K) image that pixels keep which `Outcome.where` leaves out, K at most the
+            number of results (0 beyond it); needed where the program says `where` and no
+            `otherwise`.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        (H, W, R) values. Differentiable in images, parameters and ``kept``, forward and reverse.
+
+    Raises:
+        ValueError: the program cannot be traced, an image has another size, or the backend is
+            ``native`` and there is no compiler or no native form.
+    """
+    traced = trace(program, images, parameters, settings)
+    local, tables, grid = _operands(traced, size, images, parameters)
+    return run_stages(traced.stages, kept, local, tables, grid, backend)
+
+
+def _operands(
+    traced: Traced, size: tuple[int, int], images: Any, parameters: Any
+) -> tuple[list[jax.Array], list[jax.Array], Grid]:
+    """Arrays that the stages take, and sizes."""
+    leaves, _ = flatten(images, parameters)
+    arrays = [leaf.values if isinstance(leaf, Image) else leaf for leaf in leaves]
+    for number in traced.local:
+        if arrays[number].ndim and arrays[number].shape[:2] != size:
+            raise ValueError(
+                f"`{traced.name}` reads input {number} at the pixel itself; it must have "
+                f"{size[0]} rows and {size[1]} columns, got shape {arrays[number].shape}."
+            )
+    sizes = tuple(side for array in arrays if array.ndim for side in array.shape[:2])
+    grid = Grid(*size, sizes)
+    return [arrays[k] for k in traced.local], [arrays[k] for k in traced.tables], grid
+
+
+def largest_marks(
+    program: Program,
+    size: tuple[int, int],
+    images: Any,
+    length: int,
+    parameters: Any = None,
+    settings: Any = None,
+    *,
+    backend: Backend = "auto",
+) -> Int[Array, " length"]:
+    """Run a program that leaves marks, and keep the largest at each place (a scatter-max).
+
+    Args:
+        program: as `each_pixel`; its `Outcome` holds what `mark_over` returns.
+        size: (H, W) of the grid.
+        images: as `each_pixel`.
+        length: of the table of marks.
+        parameters: as `each_pixel`.
+        settings: as `each_pixel`.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        (length,) int32, 0 where no mark above 0 was left. Without derivatives.
+
+    Raises:
+        ValueError: as `each_pixel`.
+    """
+    traced = trace(program, images, parameters, settings)
+    local, tables, grid = _operands(traced, size, images, parameters)
+    return run_marks(traced.stages, [*local, *tables], len(local), grid, length, backend)
+
+
+def largest_in_tiles(
+    program: Program,
+    size: tuple[int, int],
+    side: int,
+    images: Any,
+    parameters: Any = None,
+    settings: Any = None,
+    *,
+    backend: Backend = "auto",
+) -> Float[Array, "tile_rows tile_columns two_per_key"]:
+    """In each square tile of a grid, the first pixel with the largest key, row by row.
+
+    Args:
+        program: as `each_pixel`, of a pixel; the values of its `Outcome` are keys, each with a
+            maximum of its own. NaN counts as less than everything.
+        size: (H, W) of the grid; tiles at its right and lower edge may be smaller.
+        side: of a tile in pixels.
+        images: as `each_pixel`.
+        parameters: as `each_pixel`.
+        settings: as `each_pixel`.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        (ceil(H / side), ceil(W / side), 2 K): for each key the number of the pixel in its tile,
+        ``row * side + column`` from the tile's corner, and the key there. Without derivatives.
+
+    Raises:
+        ValueError: as `each_pixel`.
+    """
+    images, parameters = jax.tree.map(
+        _without_derivative, (images, parameters), is_leaf=lambda leaf: isinstance(leaf, Image)
+    )
+    if backend == "xla" or not _all_float32(images):
+        keys = each_pixel(program, size, images, parameters, settings, backend="xla")
+        return _by_windows(keys, side)
+    tiles = -(-size[0] // side), -(-size[1] // side)
+    whole = _Size(jnp.int32(size[0]), jnp.int32(size[1]))
+    search = _Search(program, side, settings)
+    return each_pixel(_search_tile, tiles, images, (whole, parameters), search, backend=backend)
+
+
+class _Size(NamedTuple):
+    """Rows and columns of the grid that the tiles cover."""
+
+    height: Array
+    width: Array
+
+
+class _Search(NamedTuple):
+    """What is fixed of a search in tiles."""
+
+    program: Program
+    side: int
+    settings: Any
+
+
+def _without_derivative(leaf: Any) -> Any:
+    if isinstance(leaf, Image):
+        return Image(lax.stop_gradient(leaf.values))
+    return lax.stop_gradient(leaf)
+
+
+def _all_float32(images: Any) -> bool:
+    return all(image.values.dtype == jnp.float32 for image in flatten(images, None)[0])
+
+
+def _search_tile(at: At, images: Any, parameters: Any, search: _Search) -> Outcome:
+    """The program of a tile: two loops over its pixels. Beyond the edge the last come again."""
+    size, of_program = parameters
+    side = search.side
+
+    def compare_row(k: Array, best: list[Array]) -> list[Array]:
+        row = jnp.minimum(at.row * side + k, size.height - 1)
+
+        def compare(j: Array, best: list[Array]) -> list[Array]:
+            column = jnp.minimum(at.column * side + j, size.width - 1)
+            pixel = At(row, column)
+            keys = search.program(pixel, _all_at(images, pixel), of_program, search.settings).values
+            results = []
+            for key, number, largest in zip(keys, best[::2], best[1::2], strict=True):
+                larger = key > largest
+                results.append(jnp.where(larger, (k * side + j).astype(number.dtype), number))
+                results.append(jnp.where(larger, key, largest))
+            return results
+
+        return lax.fori_loop(0, side, compare, best)
+
+    corner = At(at.row * side, at.column * side)
+    keys = search.program(corner, _all_at(images, corner), of_program, search.settings).values
+    start = [part for key in keys for part in (0 * key, jnp.full_like(key, -jnp.inf))]
+    return Outcome(tuple(lax.fori_loop(0, side, compare_row, start)))
+
+
+def _all_at(images: Any, at: At) -> Any:
+    """The images, so that `here` gives the values at a pixel."""
+    return jax.tree.map(
+        lambda image: image.at(at), images, is_leaf=lambda leaf: isinstance(leaf, Image)
+    )
+
+
+def _by_windows(keys: Float[Array, "height width keys"], side: int) -> jax.Array:
+    """The same by `lax.reduce_window`."""
+    height, width, count = keys.shape
+    row, column = (lax.broadcasted_iota(jnp.int32, (height, width), axis) for axis in (0, 1))
+    number = row % side * side + column % side
+    results = []
+    for k in range(count):
+        key = jnp.where(jnp.isnan(keys[..., k]), -jnp.inf, keys[..., k])
+        largest, winner = lax.reduce_window(
+            (key, number),
+            (jnp.asarray(-jnp.inf, key.dtype), jnp.int32(side * side)),
+            _larger,
+            window_dimensions=(side, side),
+            window_strides=(side, side),
+            padding=((0, -height % side), (0, -width % side)),
+        )
+        results += [jnp.where(winner == side * side, 0, winner).astype(key.dtype), largest]
+    return jnp.stack(results, axis=-1)
+
+
+def _larger(
+    first: tuple[jax.Array, jax.Array], second: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """The pair with the larger key; of equal ones that with the smaller number."""
+    earlier = (first[0] == second[0]) & (first[1] <= second[1])
+    take_first = (first[0] > second[0]) | earlier
+    return (
+        jnp.where(take_first, first[0], second[0]),
+        jnp.where(take_first, first[1], second[1]),
+    )

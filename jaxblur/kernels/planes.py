@@ -1,0 +1,112 @@
+"""Evaluate equations of scalars on scalars or on whole planes.
+
+A value may be a scalar (), a value for each sample (n,), a plane (H, W, 1), or all samples of all
+pixels (H, W, n); operands broadcast against one another as in NumPy. On scalars this is plain
+evaluation, so that the same code serves tracing for C++ and running by XLA.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+
+from .program import read_table
+
+_SAME = {"broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze"}
+"""Operations that leave a scalar as it is."""
+_INNER = {"jit", "pjit", "closed_call", "core_call"}
+_ELEMENTWISE = {
+    *("abs", "add", "add_any", "and", "atan2", "cbrt", "ceil", "clamp", "convert_element_type"),
+    *("cos", "div", "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow"),
+    *("is_finite", "le", "log", "log1p", "logistic", "lt", "max", "min", "mul", "ne", "neg", "not"),
+    *("or", "pow", "rem", "round", "rsqrt", "select_n", "shift_left", "sign", "sin", "sqrt"),
+    *("shift_right_arithmetic", "shift_right_logical", "square", "stop_gradient", "sub", "tan"),
+    *("tanh", "xor"),
+}
+
+
+def opened(jaxpr: Any) -> tuple[Any, Sequence[Any]]:
+    """A jaxpr and its constants; versions of JAX differ in whether it comes closed."""
+    return (jaxpr.jaxpr, jaxpr.consts) if isinstance(jaxpr, core.ClosedJaxpr) else (jaxpr, ())
+
+
+def evaluate(
+    equations: Sequence[Any], values: dict[Any, Any], wanted: Sequence[Any] | None = None
+) -> Callable[[Any], Any]:
+    """Evaluate equations.
+
+    Args:
+        equations: of a jaxpr of scalars, in order.
+        values: of the variables that are known.
+        wanted: variables that are needed; equations that they do not depend on are left out. All
+            equations if None.
+
+    Returns:
+        A function from a variable or a literal to its value.
+    """
+    values = dict(values)
+
+    def look(atom: Any) -> Any:
+        if isinstance(atom, core.Literal):
+            return np.asarray(atom.val, getattr(atom.aval, "dtype", None))
+        return values[atom]
+
+    chosen = equations if wanted is None else _live(equations, wanted)
+    for equation in chosen:
+        results = _equation(equation, [look(atom) for atom in equation.invars])
+        values.update(zip(equation.outvars, results, strict=True))
+    return look
+
+
+def _live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
+    """The equations that the wanted variables depend on."""
+    needed = {v for v in wanted if not isinstance(v, core.Literal)}
+    chosen = []
+    for equation in reversed(equations):
+        if needed & set(equation.outvars):
+            needed |= {v for v in equation.invars if not isinstance(v, core.Literal)}
+            chosen.append(equation)
+    return chosen[::-1]
+
+
+def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
+    name, parameters = equation.primitive.name, equation.params
+    if name in _INNER:
+        inner, constants = opened(parameters.get("jaxpr") or parameters.get("call_jaxpr"))
+        values = dict(zip(inner.constvars, constants, strict=True))
+        values |= zip(inner.invars, inputs, strict=True)
+        look = evaluate(inner.eqns, values, inner.outvars)
+        return [look(variable) for variable in inner.outvars]
+    if name == "gather" and equation.invars[0].aval.ndim == 1:
+        return [read_table(*inputs)]
+    if name in _SAME and equation.outvars[0].aval.size == 1:
+        return [inputs[0]]
+    if name in _ELEMENTWISE:
+        if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
+            inputs = list(jnp.broadcast_arrays(*inputs))
+        return [equation.primitive.bind(*map(jnp.asarray, inputs), **parameters)]
+    return _one_by_one(equation, inputs)
+
+
+def _one_by_one(equation: Any, inputs: list[Any]) -> list[Any]:
+    """Any other operation, as it is for scalars, mapped over all elements."""
+    pairs = zip(equation.invars, inputs, strict=True)
+    known = {v: value for v, value in pairs if not isinstance(v, core.Literal)}
+    alone = core.Jaxpr((), list(known), equation.outvars, [equation])
+    function = core.jaxpr_as_fun(core.ClosedJaxpr(alone, ()))
+    scalars = [variable.aval.ndim == 0 for variable in known]
+    inputs = list(known.values())
+    shape = np.broadcast_shapes(
+        *(np.shape(v) for v, scalar in zip(inputs, scalars, strict=True) if scalar)
+    )
+    if not shape:
+        return function(*map(jnp.asarray, inputs))
+    flat = [
+        jnp.broadcast_to(value, shape).reshape(-1) if scalar else value
+        for value, scalar in zip(inputs, scalars, strict=True)
+    ]
+    axes = [0 if scalar else None for scalar in scalars]
+    return [result.reshape(shape) for result in jax.vmap(function, axes)(*flat)]

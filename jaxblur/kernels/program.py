@@ -1,0 +1,232 @@
+"""What the author of a program writes with: images, the pixel's place, a sum over samples.
+
+A program is a function of one pixel,
+
+    def program(at, images, parameters, settings) -> Outcome
+
+in which every number is a scalar. `images` is a NamedTuple of `Image`, `parameters` a pytree of
+scalars (or None), `settings` any hashable object that is fixed when the program is traced. The
+engine traces the program once and runs it for all pixels of a grid.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+T = TypeVar("T")
+
+_ONE_ELEMENT = lax.GatherDimensionNumbers(
+    offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
+)
+
+
+class At(NamedTuple):
+    """The pixel that a program computes, whole numbers from 0 at the top left."""
+
+    row: Array
+    column: Array
+
+
+class Image:
+    """An image that a program reads: the pixel's own values by `here`, any pixel by `read`.
+
+    Outside a program `read` works too, on arrays of places.
+
+    Attributes:
+        height: rows.
+        width: columns.
+        channels: values of a pixel.
+    """
+
+    def __init__(self, values: ArrayLike) -> None:
+        """Wrap an array.
+
+        Args:
+            values: (H, W, C), or (H, W) for one channel.
+
+        Raises:
+            ValueError: it has another number of axes.
+        """
+        array = jnp.asarray(values)
+        if array.ndim == 2:
+            array = array[..., None]
+        if array.ndim != 3:
+            raise ValueError(f"an image must have shape (H, W, C), got {array.shape}.")
+        self.values: jax.Array = array
+        self.height: int | Array = array.shape[0]
+        self.width: int | Array = array.shape[1]
+        self.channels: int = array.shape[2]
+        self._table: jax.Array | None = None
+        self._own: tuple[Array, ...] | None = None
+
+    @classmethod
+    def inside(
+        cls,
+        table: jax.Array,
+        own: tuple[Array, ...],
+        size: tuple[Array, Array],
+    ) -> "Image":
+        """An image as a program sees it while it is traced.
+
+        Args:
+            table: all values in a row.
+            own: those of the pixel.
+            size: rows and columns.
+
+        Returns:
+            The image.
+        """
+        image = object.__new__(cls)
+        image._table, image._own = table, own
+        image.height, image.width = size
+        image.channels = len(own)
+        return image
+
+    def at(self, place: At) -> "Image":
+        """The same image as the program of another pixel sees it.
+
+        Args:
+            place: that pixel, known to lie inside the image.
+
+        Returns:
+            An image whose `here` gives the values there.
+        """
+        table = self.values.reshape(-1) if self._table is None else self._table
+        own = self.read(place.row, place.column)
+        size = jnp.asarray(self.height), jnp.asarray(self.width)
+        return Image.inside(table, own, size)
+
+    def here(self) -> tuple[Array, ...]:
+        """The channels of the pixel that is computed; the image must be as large as the grid."""
+        if self._own is None:
+            raise ValueError("`Image.here` works only inside a program that the engine traces.")
+        return self._own
+
+    def read(self, row: Array, column: Array, count: int | None = None) -> tuple[Array, ...]:
+        """The channels of a pixel anywhere.
+
+        Args:
+            row: of the pixel, known to lie inside the image.
+            column: of the pixel, known to lie inside the image.
+            count: read only so many channels, the first ones; all if None.
+
+        Returns:
+            One value a channel. Differentiable in the image; the place has no derivative.
+        """
+        return self.read_texel(row * self.width + column, count)
+
+    def read_texel(self, index: Array, count: int | None = None) -> tuple[Array, ...]:
+        """The channels of the pixel with a row-major number.
+
+        Args:
+            index: ``row * width + column``, known to lie inside the image.
+            count: as `read`.
+
+        Returns:
+            As `read`.
+        """
+        table = self.values.reshape(-1) if self._table is None else self._table
+        start = index * self.channels
+        channels = range(self.channels if count is None else count)
+        return tuple(read_table(table, start + k if k else start) for k in channels)
+
+
+def read_table(table: jax.Array, index: Array) -> Array:
+    """Elements of a flat table at places that are known to lie inside it.
+
+    Args:
+        table: (elements,) values.
+        index: places, of any shape.
+
+    Returns:
+        Values of the index's shape.
+    """
+    return lax.gather(
+        *(table, index[..., None], _ONE_ELEMENT, (1,)),
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
+class Outcome(NamedTuple):
+    """What a program computes.
+
+    Attributes:
+        values: of the pixel, one a channel of the result.
+        where: whether they are wanted at this pixel; None means everywhere. The engine skips
+            blocks of pixels none of which wants them, so it may not depend on a sum.
+        otherwise: values of the other pixels, for programs without a sum; None where such pixels
+            keep those of the image that `each_pixel` is given as `kept`.
+    """
+
+    values: tuple[Array, ...]
+    where: Array | None = None
+    otherwise: tuple[Array, ...] | None = None
+
+
+sum_primitive = Primitive("sum_over_samples")
+sum_primitive.multiple_results = True
+sum_primitive.def_abstract_eval(
+    lambda *operands, jaxpr, **_: [ShapedArray(v.aval.shape, v.aval.dtype) for v in jaxpr.outvars]
+)
+
+
+def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = None) -> T:
+    """The sum ``sum_{i < count} sample(i)``, one in a program at most.
+
+    Args:
+        count: number of samples N.
+        sample: from the number of a sample, int32, to a pytree of scalars; it may use everything
+            that the program has computed before.
+        limit: number of samples of this pixel; the terms of samples from it on must be 0, so that
+            they may be left out. None where all N count.
+
+    Returns:
+        The sums, in the structure of the terms.
+    """
+    structure: list[Any] = []
+
+    def flat(index: Array) -> list[Array]:
+        leaves, tree = jax.tree.flatten(sample(index))
+        structure[:] = [tree]
+        return [jnp.asarray(leaf) for leaf in leaves]
+
+    closed = jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32))
+    limits = [] if limit is None else [jnp.asarray(limit)]
+    sums = sum_primitive.bind(
+        *closed.consts, *limits, jaxpr=closed.jaxpr, count=count, limited=bool(limits)
+    )
+    return jax.tree.unflatten(structure[0], sums)
+
+
+marks_primitive = Primitive("largest_marks")
+marks_primitive.multiple_results = True
+marks_primitive.def_abstract_eval(lambda *operands, **_: [ShapedArray((), jnp.int32)])
+
+
+def mark_over(
+    limit: Array, mark: Callable[[Array], tuple[tuple[Array, Array], ...]]
+) -> tuple[Array, ...]:
+    """Leave marks in a table, of which the largest at each place stays (a scatter-max).
+
+    Args:
+        limit: number of steps of this pixel.
+        mark: from the number of a step, int32, to (place, mark) pairs of whole numbers: places lie
+            inside the table, and marks from step `limit` on must be 0, as if there were none.
+
+    Returns:
+        The values of the `Outcome` of a program for `largest_marks`.
+    """
+
+    def flat(index: Array) -> list[Array]:
+        return [jnp.asarray(number, jnp.int32) for pair in mark(index) for number in pair]
+
+    closed = jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32))
+    operands = *closed.consts, jnp.asarray(limit)
+    return tuple(marks_primitive.bind(*operands, jaxpr=closed.jaxpr, count=0, limited=True))

@@ -1,0 +1,428 @@
+"""Trace a program once, and cut it into stages at its sum.
+
+The trace is a jaxpr of scalars that knows neither the size of the grid nor of any image. Other
+targets than XLA and C++ start from here too.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+from jaxtyping import Array
+
+from .planes import evaluate
+from .program import At, Image, Outcome, marks_primitive, sum_primitive
+
+Program = Callable[[At, Any, Any, Any], Outcome]
+
+_TABLE_ROWS = 1 << 20
+"""Pixels of an image while it is traced; nothing depends on it."""
+
+
+class UnsupportedProgram(ValueError):
+    """A program does something that the engine has no stage for."""
+
+
+class Kind(NamedTuple):
+    """What is known of an input while it is traced.
+
+    Attributes:
+        dtype: name of its type.
+        channels: of an image; 0 for a scalar.
+    """
+
+    dtype: str
+    channels: int = 0
+
+
+class Place(NamedTuple):
+    """Where a program runs: scalars, or arrays that broadcast against planes.
+
+    Attributes:
+        row: of the pixel.
+        column: of the pixel.
+        sizes: rows, columns, rows, columns, ... of the images.
+    """
+
+    row: Any
+    column: Any
+    sizes: tuple[Any, ...]
+
+
+class Stages(NamedTuple):
+    """A program, cut at its sum. Each part works on scalars and on whole planes alike.
+
+    `local` holds what a pixel uses as it is: a scalar, or the channels of an image at the pixel.
+    `tables` holds flat images that are read anywhere.
+
+    Attributes:
+        where: (place, local, tables) to the condition of the `Outcome`, and a list of values that
+            were found on the way.
+        prepare: (place, local, tables, found) to a list: values that the samples and the finish
+            use, or the results where there is no sum.
+        otherwise: (place, local, tables, found) to the results of the other pixels, or None.
+        sample: (index, place, prepared, tables) to the terms of a sample; None without a sum.
+        finish: (place, sums, prepared, local) to the results.
+        limit: from prepared to the number of samples; None where all count.
+        count: number of samples N.
+    """
+
+    where: Callable[..., Any]
+    prepare: Callable[..., Any]
+    otherwise: Callable[..., Any] | None = None
+    sample: Callable[..., Any] | None = None
+    finish: Callable[..., Any] | None = None
+    limit: Callable[..., Any] | None = None
+    count: int = 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Traced:
+    """A traced program.
+
+    Attributes:
+        name: of the program.
+        jaxpr: of scalars: row, column, then for each scalar itself and for each image its table,
+            rows, columns and own channels.
+        kinds: of the inputs.
+        local: numbers of the inputs that a pixel uses as they are.
+        tables: numbers of the images that are read anywhere.
+        stages: the program cut at its sum.
+        results: types of the results.
+    """
+
+    name: str
+    jaxpr: Any
+    kinds: tuple[Kind, ...]
+    local: tuple[int, ...]
+    tables: tuple[int, ...]
+    stages: Stages
+    results: tuple[str, ...]
+
+
+def flatten(images: Any, parameters: Any) -> tuple[list[Image | jax.Array], Any]:
+    """The inputs of a program one after the other, and their structure."""
+    is_image = functools.partial(_is_a, Image)
+    leaves, structure = jax.tree.flatten((images, parameters), is_leaf=is_image)
+    return [leaf if isinstance(leaf, Image) else jnp.asarray(leaf) for leaf in leaves], structure
+
+
+def _is_a(kind: type, leaf: Any) -> bool:
+    return isinstance(leaf, kind)
+
+
+def trace(program: Program, images: Any, parameters: Any, settings: Any) -> Traced:
+    """Trace a program for inputs of these types; equal ones are traced once.
+
+    Args:
+        program: see `program`.
+        images: NamedTuple of `Image`; a None stays None.
+        parameters: pytree of scalars.
+        settings: hashable.
+
+    Returns:
+        The trace.
+
+    Raises:
+        UnsupportedProgram: it has two sums, or uses a value where the engine cannot carry it.
+        ValueError: an input is neither an image nor a scalar.
+    """
+    leaves, structure = flatten(images, parameters)
+    kinds = tuple(_kind(leaf) for leaf in leaves)
+    return _trace(program, structure, kinds, settings, bool(jax.config.jax_enable_x64))
+
+
+def _kind(leaf: Image | jax.Array) -> Kind:
+    if isinstance(leaf, Image):
+        return Kind(leaf.values.dtype.name, leaf.channels)
+    if leaf.ndim:
+        raise ValueError(
+            f"an input of a program must be an Image or a scalar, got shape {leaf.shape}."
+        )
+    return Kind(leaf.dtype.name)
+
+
+@functools.lru_cache(maxsize=512)
+def _trace(
+    program: Program, structure: Any, kinds: tuple[Kind, ...], settings: Any, _x64: bool
+) -> Traced:
+    def on_scalars(*numbers: Array) -> list[Array]:
+        rest = iter(numbers)
+        at = At(next(rest), next(rest))
+        leaves = [_leaf(kind, rest) for kind in kinds]
+        images, parameters = jax.tree.unflatten(structure, leaves)
+        outcome = program(at, images, parameters, settings)
+        where = jnp.ones((), bool) if outcome.where is None else outcome.where
+        shape[:] = [len(outcome.values), outcome.otherwise is not None]
+        return [where, *outcome.values, *(outcome.otherwise or ())]
+
+    shape: list[Any] = []
+    whole = jax.ShapeDtypeStruct((), jnp.int32)
+    inputs = [whole, whole]
+    for kind in kinds:
+        inputs += _shapes(kind)
+    jaxpr = jax.make_jaxpr(on_scalars)(*inputs)
+    cut = _Cut(jaxpr, kinds, *shape)
+    name = getattr(program, "__name__", type(program).__name__)
+    results = tuple(variable.aval.dtype.name for variable in cut.values)
+    return Traced(name, jaxpr.jaxpr, kinds, cut.local, cut.tables, cut.stages(), results)
+
+
+def _shapes(kind: Kind) -> list[jax.ShapeDtypeStruct]:
+    scalar = jax.ShapeDtypeStruct((), kind.dtype)
+    if not kind.channels:
+        return [scalar]
+    size = jax.ShapeDtypeStruct((), jnp.int32)
+    return [table_shape(kind), size, size, *[scalar] * kind.channels]
+
+
+def table_shape(kind: Kind) -> jax.ShapeDtypeStruct:
+    """The shape of a flat image while it is traced."""
+    return jax.ShapeDtypeStruct((_TABLE_ROWS * kind.channels,), kind.dtype)
+
+
+def _leaf(kind: Kind, numbers: Any) -> Any:
+    if not kind.channels:
+        return next(numbers)
+    table, size = next(numbers), (next(numbers), next(numbers))
+    return Image.inside(table, tuple(next(numbers) for _ in range(kind.channels)), size)
+
+
+class _Cut:
+    """The equations of a trace by stage."""
+
+    def __init__(self, closed: Any, kinds: Sequence[Kind], results: int, otherwise: bool) -> None:
+        self.jaxpr = closed.jaxpr
+        self.constants = dict(zip(self.jaxpr.constvars, closed.consts, strict=True))
+        self.where, *rest = self.jaxpr.outvars
+        self.values, self.otherwise = rest[:results], rest[results:] if otherwise else None
+        self.made_by = {v: k for k, e in enumerate(self.jaxpr.eqns) for v in e.outvars}
+        self.loop = self._find_loop()
+        self._name_inputs(kinds)
+        self._assign()
+
+    def _find_loop(self) -> int | None:
+        loops = [
+            k
+            for k, equation in enumerate(self.jaxpr.eqns)
+            if equation.primitive in (sum_primitive, marks_primitive)
+        ]
+        if len(loops) > 1:
+            raise UnsupportedProgram("a program may hold one `sum_over` or `mark_over`, got two.")
+        return loops[0] if loops else None
+
+    def _name_inputs(self, kinds: Sequence[Kind]) -> None:
+        """Which variable is what: of the place, a scalar, a table, a channel at the pixel."""
+        variables = iter(self.jaxpr.invars)
+        self.place = [next(variables), next(variables)]
+        self.own: list[list[Any]] = []
+        self.table: list[Any] = []
+        for kind in kinds:
+            if not kind.channels:
+                self.own.append([next(variables)])
+                self.table.append(None)
+                continue
+            self.table.append(next(variables))
+            self.place += [next(variables), next(variables)]
+            self.own.append([next(variables) for _ in range(kind.channels)])
+        used = self._used(range(len(self.jaxpr.eqns)))
+        used |= {v for v in self.jaxpr.outvars if not _is_literal(v)}
+        self.local = tuple(k for k, own in enumerate(self.own) if used & set(own))
+        self.tables = tuple(k for k, table in enumerate(self.table) if table in used)
+
+    def _needed(self, variables: Iterable[Any], known: Iterable[Any] = ()) -> list[int]:
+        """Numbers of the equations that make the variables from the known ones and the inputs."""
+        known, wanted, found = set(known), list(variables), set()
+        while wanted:
+            variable = wanted.pop()
+            if _is_literal(variable) or variable in known:
+                continue
+            number = self.made_by.get(variable)
+            if number is not None and number not in found:
+                found.add(number)
+                wanted += self.jaxpr.eqns[number].invars
+        return sorted(found)
+
+    def _made(self, numbers: Iterable[int]) -> set[Any]:
+        return {v for k in numbers for v in self.jaxpr.eqns[k].outvars}
+
+    def _used(self, numbers: Iterable[int]) -> set[Any]:
+        return {v for k in numbers for v in self.jaxpr.eqns[k].invars if not _is_literal(v)}
+
+    def _assign(self) -> None:
+        """Sort equations into those of the condition, before the sum, and after it."""
+        eqns = self.jaxpr.eqns
+        self.in_where = self._needed([self.where])
+        if self.loop in self.in_where:
+            raise UnsupportedProgram("`Outcome.where` must not depend on the sum.")
+        known = self._made(self.in_where)
+        if self.loop is None:
+            self.before = self._needed(self.values, known)
+            self.after: list[int] = []
+            ends = self.values
+        else:
+            loop = eqns[self.loop]
+            self.after = self._after(loop)
+            ends = [*loop.invars, *self._used(self.after), *self.values]
+            skip = {*loop.outvars, *self._made(self.after)}
+            self.before = self._needed(
+                [v for v in ends if not _is_literal(v) and v not in skip], known
+            )
+        self.rest = [] if self.otherwise is None else self._needed(self.otherwise, known)
+        used = self._used([*self.before, *self.rest])
+        used |= {v for v in [*ends, *(self.otherwise or ())] if not _is_literal(v)}
+        self.found = _ordered(known & used, eqns)
+        self._choose_prepared()
+
+    def _after(self, loop: Any) -> list[int]:
+        """Numbers of the equations that depend on the sums."""
+        touched, numbers = set(loop.outvars), []
+        for number in self._needed(self.values, loop.outvars):
+            equation = self.jaxpr.eqns[number]
+            if any(not _is_literal(v) and v in touched for v in equation.invars):
+                touched |= set(equation.outvars)
+                numbers.append(number)
+        return numbers
+
+    def _choose_prepared(self) -> None:
+        """The values that lie between the stages, and how whole numbers get across."""
+        if self.loop is None:
+            self.prepared: list[Any] = []
+            return
+        loop = self.jaxpr.eqns[self.loop]
+        made = self._made([*self.in_where, *self.before])
+        own = {v for group in self.own for v in group}
+        late = self._used(self.after) | {v for v in self.values if not _is_literal(v)}
+        wanted = [v for v in loop.invars if not _is_literal(v) and (v in made or v in own)]
+        wanted += _ordered(late & made, self.jaxpr.eqns)
+        # Scalars get to the finish this way too, so that their derivatives are carried along.
+        wanted += [
+            own[0]
+            for own, table in zip(self.own, self.table, strict=True)
+            if table is None and own[0] in late
+        ]
+        self.again = [v for v in dict.fromkeys(wanted) if self._is_of_the_place(v)]
+        self.prepared = [v for v in dict.fromkeys(wanted) if v not in self.again]
+        for variable in self.prepared:
+            if np.issubdtype(variable.aval.dtype, np.integer):
+                raise UnsupportedProgram(
+                    "a whole number that depends on the pixel's values is computed before the sum "
+                    "and used in it or after it; compute it there, or convert it to a float."
+                )
+        self.repeated = self._needed(self.again)
+
+    def _is_of_the_place(self, variable: Any) -> bool:
+        """Whether a whole number depends on nothing but the place, and can be computed again."""
+        if not np.issubdtype(variable.aval.dtype, np.integer):
+            return False
+        numbers = self._needed([variable])
+        used = self._used(numbers) - self._made(numbers)
+        return bool(numbers) and used <= set(self.place) | set(self.constants)
+
+    def stages(self) -> Stages:
+        """The stages as functions."""
+        if self.loop is None:
+            return Stages(
+                where=self._where,
+                prepare=functools.partial(self._results, self.before, self.values),
+                otherwise=self.otherwise
+                and functools.partial(self._results, self.rest, self.otherwise),
+            )
+        if self.otherwise is not None:
+            raise UnsupportedProgram("`Outcome.otherwise` is for programs without a sum.")
+        loop = self.jaxpr.eqns[self.loop]
+        return Stages(
+            where=self._where,
+            prepare=self._prepare,
+            sample=self._sample,
+            finish=self._finish,
+            limit=self._limit if loop.params["limited"] else None,
+            count=loop.params["count"],
+        )
+
+    def _inputs(self, place: Place, local: Any, tables: Any) -> dict[Any, Any]:
+        """Values of the inputs."""
+        values = dict(self.constants)
+        values |= zip(self.place, [place.row, place.column, *place.sizes], strict=True)
+        for number, own in zip(self.local if local is not None else (), local or (), strict=True):
+            values |= zip(self.own[number], own, strict=True)
+        for number, table in zip(
+            self.tables if tables is not None else (), tables or (), strict=True
+        ):
+            values[self.table[number]] = table
+        return values
+
+    def _run(self, numbers: Sequence[int], values: dict[Any, Any]) -> Callable[[Any], Any]:
+        """Evaluate equations; the result looks a variable up."""
+        return evaluate([self.jaxpr.eqns[number] for number in numbers], values)
+
+    def _where(self, place: Place, local: Any, tables: Any) -> Any:
+        look = self._run(self.in_where, self._inputs(place, local, tables))
+        return look(self.where), [look(variable) for variable in self.found]
+
+    def _with_found(self, place: Place, local: Any, tables: Any, found: Any) -> dict[Any, Any]:
+        return self._inputs(place, local, tables) | dict(zip(self.found, found, strict=True))
+
+    def _results(
+        self,
+        numbers: Sequence[int],
+        results: Any,
+        place: Place,
+        local: Any,
+        tables: Any,
+        found: Any,
+    ) -> list[Any]:
+        look = self._run(numbers, self._with_found(place, local, tables, found))
+        return [look(variable) for variable in results]
+
+    def _prepare(self, place: Place, local: Any, tables: Any, found: Any) -> list[Any]:
+        look = self._run(self.before, self._with_found(place, local, tables, found))
+        return [_as_real(look(variable)) for variable in self.prepared]
+
+    def _late(self, place: Place, prepared: Any, local: Any, tables: Any) -> dict[Any, Any]:
+        """Inputs of what comes after the preparation."""
+        values = self._inputs(place, local, tables)
+        for variable, value in zip(self.prepared, prepared, strict=True):
+            values[variable] = value != 0 if variable.aval.dtype == bool else value
+        look = self._run(self.repeated, values)
+        return values | {variable: look(variable) for variable in self.again}
+
+    def _sample(self, index: Any, place: Place, prepared: Any, tables: Any) -> list[Any]:
+        equation = self.jaxpr.eqns[self.loop or 0]
+        look = self._run([], self._late(place, prepared, None, tables))
+        inner, operands = equation.params["jaxpr"], equation.invars
+        operands = operands[: len(inner.constvars)]
+        values = {v: look(o) for v, o in zip(inner.constvars, operands, strict=True)}
+        look = evaluate(inner.eqns, values | {inner.invars[0]: index}, inner.outvars)
+        return [look(variable) for variable in inner.outvars]
+
+    def _limit(self, prepared: Any) -> Any:
+        limit = self.jaxpr.eqns[self.loop or 0].invars[-1]
+        if _is_literal(limit):
+            return limit.val
+        return dict(zip(self.prepared, prepared, strict=True))[limit]
+
+    def _finish(self, place: Place, sums: Any, prepared: Any, local: Any) -> list[Any]:
+        loop = self.jaxpr.eqns[self.loop or 0]
+        values = self._late(place, prepared, local, None)
+        values |= zip(loop.outvars, sums, strict=True)
+        look = self._run(self.after, values)
+        return [look(variable) for variable in self.values]
+
+
+def _is_literal(variable: Any) -> bool:
+    return isinstance(variable, core.Literal)
+
+
+def _ordered(variables: set[Any], equations: Sequence[Any]) -> list[Any]:
+    """Variables in the order in which they are made."""
+    return [v for equation in equations for v in equation.outvars if v in variables]
+
+
+def _as_real(value: Any) -> Any:
+    return value.astype(jnp.float32) if value.dtype == bool else value
