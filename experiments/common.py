@@ -15,7 +15,7 @@ import numpy as np
 
 import jaxblur
 from jaxblur import exr, scenes
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.fitting.constraints import starting_values, to_free
 from jaxblur.fitting.descent import State, Task, default_optimizer, descend
 from jaxblur.fitting.objective import Objective
@@ -194,7 +194,7 @@ class Refit(NamedTuple):
 
 def refit(
     examples: Sequence[Example],
-    settings: jaxblur.Settings,
+    settings: jaxblur.GuertinSettings,
     free: Sequence[str],
     fixed: Mapping[str, float],
     steps: int,
@@ -217,7 +217,7 @@ def refit(
     Returns:
         All parameters, and the loss before each step.
     """
-    values = vars(PUBLISHED[GUERTIN][0]) | dict(fixed)
+    values = filter_info(GUERTIN).defaults | dict(fixed)
     if not free:
         return Refit(values, ())
     start = values | starting_values(GUERTIN, {name: values[name] for name in free})

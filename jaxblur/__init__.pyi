@@ -25,6 +25,11 @@ from .filters import (
     pixel_velocity as pixel_velocity,
     register as register,
 )
+from .filters.tiles import (
+    neighbor_max as neighbor_max,
+    tile_max as tile_max,
+    tile_variance as tile_variance,
+)
 from .fitting import FitResult as FitResult, fit as fit
 from .frame import Frame as Frame
 from .noise import Noise as Noise
@@ -37,11 +42,6 @@ from .planning import (
 )
 from .settings import GuertinSettings as GuertinSettings, Settings as Settings
 from .sky import turning_sky as turning_sky
-from .filters.tiles import (
-    neighbor_max as neighbor_max,
-    tile_max as tile_max,
-    tile_variance as tile_variance,
-)
 from .velocity_encoding import (
     decode_velocity as decode_velocity,
     encode_velocity as encode_velocity,

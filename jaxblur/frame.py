@@ -25,7 +25,6 @@ longer for what turns by more than the straight displacement between frames show
 """
 
 import dataclasses
-from typing import Any
 
 import jax
 import jax.numpy as jnp

@@ -19,14 +19,13 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .filters.registry import filter_info
+from .filters.tiles import fastest_pixels, tile_max, tile_variance
 from .frame import Frame, check_frame
 from .settings import Settings
-from .filters.tiles import fastest_pixels, tile_max, tile_variance
 from .vectors import speed_statistics
 
 MOVING = 0.5

@@ -14,7 +14,6 @@
 # curve, not the numbers. For reliable numbers see `jaxblur bench` and the experiments.
 
 # %%
-import dataclasses
 import time
 from pathlib import Path
 
@@ -23,7 +22,7 @@ import numpy as np
 
 import jaxblur
 from jaxblur import exr, metrics, show
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 
 # %matplotlib inline
 # %config InlineBackend.figure_formats = ["jpeg"]
@@ -55,7 +54,7 @@ def milliseconds(function):
 
 
 def measure(name, parameters, label, published=False, **settings):
-    chosen = jaxblur.Settings(**settings)
+    chosen = filter_info(name).make_settings(**settings)
 
     def run():
         return jaxblur.FILTERS[name](frame, parameters, settings=chosen)
@@ -73,8 +72,10 @@ points += [
     for samples in (5, 15)
 ]
 points += [
-    measure(name, defaults, "defaults", name in STARS, **dataclasses.asdict(usual))
-    for name, (defaults, usual) in PUBLISHED.items()
+    measure(
+        info.name, info.make_parameters(), "defaults", info.name in STARS, **vars(info.settings)
+    )
+    for info in map(filter_info, jaxblur.FILTERS)
 ]
 show.pareto(points, time_label="milliseconds, 160 x 112 pixels", labels="all")
 

@@ -47,7 +47,7 @@ parameters = jaxblur.GuertinParameters(depth_sharpness=10.0)
 
 # %%
 color, truth = frame.color[..., :3], truth[..., :3]
-settings = jaxblur.Settings(
+settings = jaxblur.GuertinSettings(
     samples=15, radius=20, fetch="bilinear", tile_choice="own", noise="none"
 )
 

@@ -1,5 +1,6 @@
 """Frames and tolerances that several tests share."""
 
+import contextlib
 import dataclasses
 
 import jax
@@ -9,6 +10,7 @@ from jax.test_util import check_grads
 from jax.typing import DTypeLike
 
 import jaxblur
+from jaxblur.filters.registry import filter_info, register, unregister
 
 RELATIVE = {"float32": 1e-4, "float64": 1e-10}
 """Filter against its plain-loop twin."""
@@ -51,6 +53,22 @@ def as_arrays(frame):
 def fields(record):
     """The fields of a dataclass as a plain dict."""
     return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def settings_of(name, settings):
+    """Some settings without the choices that a filter does not have."""
+    kind = filter_info(name).kind
+    return kind(**{name: getattr(settings, name) for name in fields(kind())})
+
+
+@contextlib.contextmanager
+def registered(info):
+    """A filter that is known for as long as the context lasts."""
+    register(info)
+    try:
+        yield info
+    finally:
+        unregister(info.name)
 
 
 def check_gradients(function, *arguments, order=1):

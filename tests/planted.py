@@ -18,7 +18,7 @@ TRUE = {
     "depth_sharpness": 4.0,
 }
 FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
-SETTINGS = jaxblur.Settings(samples=7, radius=16, fetch="bilinear", tile_choice="expected")
+SETTINGS = jaxblur.GuertinSettings(samples=7, radius=16, fetch="bilinear", tile_choice="expected")
 
 
 @functools.cache

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur.filters import FILTERS, PUBLISHED
-from tests.helpers import random_frame, random_noise
+from jaxblur.filters import FILTERS, FilterInfo, filter_info
+from tests.helpers import random_frame, random_noise, registered
 
 SETTINGS = jaxblur.Settings(samples=5, radius=6)
 SHAPE = (13, 17)
@@ -32,7 +32,7 @@ def some_frames(count, **options):
     ("name", "chunk"), [("guertin2014", 1), ("guertin2014", 9), *((name, 2) for name in FILTERS)]
 )
 def test_it_equals_the_loop_with_any_chunk_and_remainder(name, chunk):
-    frames, parameters = some_frames(3), PUBLISHED[name][0]
+    frames, parameters = some_frames(3), filter_info(name).make_parameters()
     one_by_one = [FILTERS[name](frame, parameters, settings=SETTINGS) for frame in frames]
     blurred = jaxblur.blur_batch(name, stack(frames), settings=SETTINGS, chunk=chunk)
     assert blurred.dtype == jnp.float32
@@ -75,7 +75,7 @@ def mixed_frames():
 
 def assert_equals_loop(filter, frames, noises, batch_noise):
     """Blur at once and one after the other; return the latter."""
-    parameters = PUBLISHED[filter.__name__][0]
+    parameters = filter_info(filter.__name__).make_parameters()
     loop = [
         filter(frame, parameters, settings=SETTINGS, noise=noise)
         for frame, noise in zip(frames, noises, strict=True)
@@ -130,16 +130,19 @@ def test_derivatives_are_those_of_the_loop():
 def test_new_parameters_recompile_nothing():
     frames, traced = stack(some_frames(2)), []
 
-    def blur(kappa):
-        parameters = jaxblur.GuertinParameters(kappa=kappa)
-        settings = jaxblur.Settings(samples=5, radius=6)
-        return jaxblur.blur_batch("guertin2014", frames, parameters, settings=settings)
+    def counted(frame, parameters, *, settings, noise=None):
+        traced.append(settings)
+        return frame.color * parameters.kappa
 
-    blur(10.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(FILTERS, "guertin2014", traced.append)
-        blur(20.0)
-    assert traced == []
+    info = FilterInfo(
+        name="counted", summary="", function=counted, parameters=jaxblur.GuertinParameters
+    )
+    with registered(info):
+        for kappa in (10.0, 20.0):
+            parameters = jaxblur.GuertinParameters(kappa=kappa)
+            settings = jaxblur.Settings(samples=5, radius=6)
+            jaxblur.blur_batch(counted, frames, parameters, settings=settings)
+    assert len(traced) == 1
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import time
 import pytest
 
 import jaxblur
-from jaxblur.cli import arguments, console, interrupts, published, stages
+from jaxblur.cli import arguments, console, interrupts, stages
+from jaxblur.cli.filtering import describe_filters
 from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, plain_frame, write_single
@@ -67,17 +68,19 @@ def test_the_module_runs_and_gives_its_status():
 
 
 def test_parameters_and_settings_in_the_help_are_those_of_the_filters():
-    from jaxblur.filters import FILTERS, PUBLISHED
-    from tests.helpers import fields
+    from jaxblur.filters import FILTERS, filter_info
 
-    assert published.FILTERS.keys() == FILTERS.keys() == PUBLISHED.keys()
-    for name, (record, settings) in PUBLISHED.items():
-        known = published.FILTERS[name]
-        defaults = {key: parameter.default for key, parameter in known.parameters.items()}
-        assert defaults == ({} if record is None else fields(record))
+    lines = describe_filters().splitlines()
+    places = [next(k for k, line in enumerate(lines) if f"  {n}: " in line) for n in FILTERS]
+    for name, start, end in zip(FILTERS, places, [*places[1:], None], strict=True):
+        info, text = filter_info(name), "\n".join(lines[start:end])
         for key in ("samples", "radius", "fetch"):
-            assert getattr(known, key) == getattr(settings, key)
-        assert all(p.allows(p.default) for p in known.parameters.values())
+            assert f"--{key} {getattr(info.settings, key)}" in text
+        record = info.make_parameters()
+        values = {} if record is None else vars(record)
+        assert text.count("=") == len(values)
+        for key, value in values.items():
+            assert f" {key}={value:g} " in text and info.parameter_infos[key].meaning in text
 
 
 def test_blur_help_lists_presets_and_marks_the_unverified(capsys):

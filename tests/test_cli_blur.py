@@ -1,6 +1,5 @@
 """``jaxblur blur`` on real and on damaged files."""
 
-import dataclasses
 import functools
 import re
 import tomllib
@@ -10,7 +9,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, srgb
-from jaxblur.cli import published
+from jaxblur.settings import choices_of
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
 
@@ -99,11 +98,12 @@ def _truth_of(frame):
 
 @pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity", "layered"])
 def test_other_filters_use_their_published_settings(tmp_path, name):
-    from jaxblur.filters import FILTERS, PUBLISHED
+    from jaxblur.filters import FILTERS, filter_info
 
     out = tmp_path / "out.exr"
     assert run("blur", CAR, "-o", out, "--filter", name).status == 0
-    parameters, settings = PUBLISHED[name]
+    info = filter_info(name)
+    parameters, settings = info.make_parameters(), info.settings
     image = FILTERS[name](jaxblur.read_frame(CAR), parameters, settings=settings)
     stored = exr.read_image(out)
     np.testing.assert_array_equal(stored, np.asarray(image).astype(np.float16).astype(np.float32))
@@ -113,7 +113,7 @@ def test_parameters_reach_the_filter(tmp_path):
     out = tmp_path / "out.exr"
     given = ("--param", "kappa=2", "--param", "gamma=3", "--tile-choice", "own", "--noise", "none")
     assert run("blur", CAR, "-o", out, *FEW, *given).status == 0
-    settings = jaxblur.Settings(samples=7, radius=25, tile_choice="own", noise="none")
+    settings = jaxblur.GuertinSettings(samples=7, radius=25, tile_choice="own", noise="none")
     parameters = jaxblur.GuertinParameters(kappa=2.0, gamma=3.0)
     image = jaxblur.guertin2014(jaxblur.read_frame(CAR), parameters, settings=settings)
     half = np.asarray(image).astype(np.float16).astype(np.float32)
@@ -122,20 +122,19 @@ def test_parameters_reach_the_filter(tmp_path):
 
 @pytest.mark.parametrize("name", ["layered", "mcguire2012", "pixel_velocity"])
 def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
-    from jaxblur.settings import CHOICES
-
-    frame, out = jaxblur.read_frame(CAR), tmp_path / "out.exr"
-    usual = jaxblur.Settings(samples=5, radius=25)
-    parameters, _ = jaxblur.filters.PUBLISHED[name]
-    image = jaxblur.FILTERS[name](frame, parameters, settings=usual)
-    for choice in published.GUERTIN_CHOICES:
-        for value in CHOICES[choice]:
-            settings = dataclasses.replace(usual, **{choice: value})
-            other = jaxblur.FILTERS[name](frame, parameters, settings=settings)
-            np.testing.assert_array_equal(other, image)
+    out, choices = tmp_path / "out.exr", choices_of(jaxblur.GuertinSettings)
+    only = choices.keys() - choices_of(jaxblur.Settings).keys()
+    assert len(only) == 5
+    for choice in only:
         option = f"--{choice.replace('_', '-')}"
-        message = refused("blur", CAR, "-o", out, "--filter", name, option, CHOICES[choice][-1])
+        message = refused("blur", CAR, "-o", out, "--filter", name, option, choices[choice][-1])
         assert f"{option}: {name} has no such choice" in message
+    with pytest.raises(ValueError, match=rf"that {name} does not have \(tile_choice, split"):
+        jaxblur.FILTERS[name](
+            jaxblur.read_frame(CAR),
+            jaxblur.filter_info(name).make_parameters(),
+            settings=jaxblur.GuertinSettings(samples=5),
+        )
     assert run("blur", CAR, "-o", out, "--filter", name).status == 0
     assert "tile_choice" not in tomllib.loads(attributes(out)["jaxblur:settings"])
 

@@ -14,7 +14,7 @@ import pytest
 
 import jaxblur
 from jaxblur.devices import Blocks, plan_rows, row_reach
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from tests.exr_files import plain_frame, write_single
 from tests.helpers import random_frame, random_noise
 
@@ -24,7 +24,7 @@ import jax, jax.numpy as jnp, numpy as np
 import jaxblur
 from jaxblur.cli import main, stages
 from jaxblur.devices import blur_frames, blur_rows
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from tests.helpers import random_frame, random_noise
 
 devices, report = jax.devices(), {}
@@ -37,7 +37,7 @@ def rows(label, name, shape, used, settings={}, noise=random_noise, **fields):
     frame = dataclasses.replace(random_frame(shape, speed=30.0), **fields)
     settings = jaxblur.Settings(**{"samples": 7, "radius": 8} | settings)
     options = {"settings": settings, "noise": noise(shape)}
-    one = FILTERS[name](frame, PUBLISHED[name][0], **options)
+    one = FILTERS[name](frame, filter_info(name).make_parameters(), **options)
     note(label, one, blur_rows(name, frame, devices=devices[:used], **options), frame.color)
 
 for name in ("mcguire2012", "pixel_velocity"):
@@ -143,7 +143,7 @@ def test_a_part_with_its_halo_is_the_whole_to_the_bit(name, radius, curved, fetc
     """What is farther away, faster too, changes nothing."""
     frame, noise = uneven_frame((160, 152), curved), random_noise((160, 152))
     settings = jaxblur.Settings(samples=7, radius=radius, fetch=fetch)
-    parameters = PUBLISHED[name][0]
+    parameters = filter_info(name).make_parameters()
     tile, reach = row_reach(name, parameters, settings, curved=curved)
     halo = -(-reach // tile) * tile
     blur = functools.partial(FILTERS[name], settings=settings)

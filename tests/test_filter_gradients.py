@@ -7,7 +7,7 @@ import pytest
 
 import jaxblur
 from jaxblur.filters import FILTERS
-from tests.helpers import check_gradients, fields, random_frame, random_noise
+from tests.helpers import check_gradients, fields, random_frame, random_noise, settings_of
 
 PARAMETERS = {
     "guertin2014": {
@@ -40,6 +40,8 @@ CLASSES = {
 
 
 def blur(name, settings, noise):
+    settings = settings_of(name, settings)
+
     def function(color, depth, velocity, parameters):
         frame = jaxblur.Frame(color, depth, velocity)
         return FILTERS[name](frame, CLASSES[name](**parameters), settings=settings, noise=noise)
@@ -51,7 +53,7 @@ def blur(name, settings, noise):
 @pytest.mark.parametrize("name", FILTERS)
 def test_every_input_equals_finite_differences(name, fetch):
     shape = (5, 7)
-    settings = jaxblur.Settings(samples=5, radius=4, fetch=fetch, tile_choice="expected")
+    settings = jaxblur.GuertinSettings(samples=5, radius=4, fetch=fetch, tile_choice="expected")
     with jax.enable_x64(True):
         # Without still pixels: at v = 0 the side of the perpendicular switches.
         frame = random_frame(shape, seed=5, speed=5.0, dtype=np.float64, channels=2, still=0)
@@ -65,7 +67,9 @@ def test_every_input_equals_finite_differences(name, fetch):
 
 def test_every_parameter_matters_and_has_its_gradient():
     shape, step = (12, 13), 1e-6
-    settings = jaxblur.Settings(samples=7, radius=4, fetch="bilinear", tile_choice="expected")
+    settings = jaxblur.GuertinSettings(
+        samples=7, radius=4, fetch="bilinear", tile_choice="expected"
+    )
     with jax.enable_x64(True):
         frame = random_frame(shape, speed=5.0, dtype=np.float64)
         function = blur("guertin2014", settings, random_noise(shape, dtype=np.float64))
@@ -118,8 +122,8 @@ def kink_frames():
 @pytest.mark.parametrize("name", FILTERS)
 def test_value_and_gradients_are_finite_at_every_kink(name):
     for settings in (
-        jaxblur.Settings(samples=5, radius=4, fetch="bilinear"),
-        jaxblur.Settings(samples=5, radius=4, tile_choice="expected"),
+        jaxblur.GuertinSettings(samples=5, radius=4, fetch="bilinear"),
+        jaxblur.GuertinSettings(samples=5, radius=4, tile_choice="expected"),
     ):
         function = blur(name, settings, None)
 
@@ -137,7 +141,7 @@ def test_value_and_gradients_are_finite_at_every_kink(name):
 
 def test_gradients_survive_debug_nans_vmap_and_checkpoint():
     frame = random_frame((6, 7), speed=4.0)
-    settings = jaxblur.Settings(samples=3, radius=4, tile_choice="expected")
+    settings = jaxblur.GuertinSettings(samples=3, radius=4, tile_choice="expected")
     function = blur("guertin2014", settings, None)
 
     def loss(color, kappa):
@@ -153,7 +157,7 @@ def test_gradients_survive_debug_nans_vmap_and_checkpoint():
 
 @pytest.mark.parametrize("tile_choice", ["own", "expected"])
 def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
-    settings = jaxblur.Settings(samples=5, radius=4, noise="none", tile_choice=tile_choice)
+    settings = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice=tile_choice)
     frames = [random_frame((8, 12), seed=seed) for seed in (1, 2)]
 
     def loss(color, frame):
@@ -170,7 +174,7 @@ def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
 
 def test_gradient_of_parameters_alone_scatters_nothing():
     frame = random_frame((16, 16))
-    function = blur("guertin2014", jaxblur.Settings(samples=5, radius=8), None)
+    function = blur("guertin2014", jaxblur.GuertinSettings(samples=5, radius=8), None)
 
     def loss(kappa):
         parameters = fields(jaxblur.GuertinParameters(kappa=kappa))

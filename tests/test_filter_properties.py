@@ -12,12 +12,13 @@ from hypothesis import given, settings as hypothesis_settings, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import jaxblur
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
+from tests.helpers import settings_of
 
 # A size compiles anew: these are whole tiles and ragged ones.
 SHAPES = ((4, 8), (5, 7))
 # Odd and without noise, so that a reversed velocity reads the same taps.
-SETTINGS = jaxblur.Settings(samples=5, radius=4, noise="none", tile_choice="own")
+SETTINGS = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice="own")
 SPECIAL = (0.0, 0.5, -0.5, 4.0, -4.0, 8.0, 1e-40, 1e-20, 1e6, -1e6)
 
 speeds = st.one_of(
@@ -47,7 +48,8 @@ def frames(draw, shapes=SHAPES):
 
 def run(name: str, frame: jaxblur.Frame, **changes: Any) -> np.ndarray:
     changed = dataclasses.replace(frame, **changes)
-    return np.asarray(FILTERS[name](changed, PUBLISHED[name][0], settings=SETTINGS))
+    parameters, settings = filter_info(name).make_parameters(), settings_of(name, SETTINGS)
+    return np.asarray(FILTERS[name](changed, parameters, settings=settings))
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -107,7 +109,8 @@ def test_a_masked_pixel_has_no_influence(name, frame, where):
 def gradients(name: str, inputs: Any) -> Any:
     def total(inputs):
         frame, parameters = inputs
-        return jnp.sum(jnp.square(FILTERS[name](frame, parameters, settings=SETTINGS)))
+        settings = settings_of(name, SETTINGS)
+        return jnp.sum(jnp.square(FILTERS[name](frame, parameters, settings=settings)))
 
     return jax.grad(total)(inputs)
 
@@ -117,6 +120,6 @@ def gradients(name: str, inputs: Any) -> Any:
 @given(frame=frames(shapes=SHAPES[1:2]))
 def test_gradients_are_finite_wherever_the_motion_goes(name, frame):
     frame = jax.tree.map(jnp.asarray, frame)
-    parameters = jax.tree.map(jnp.float32, PUBLISHED[name][0])
+    parameters = jax.tree.map(jnp.float32, filter_info(name).make_parameters())
     for leaf in jax.tree.leaves(gradients(name, (frame, parameters))):
         assert jnp.isfinite(leaf).all()

@@ -11,10 +11,18 @@ import pytest
 import jaxblur
 from jaxblur.filters import FILTERS
 from jaxblur.frame import check_parameters
-from tests.helpers import RELATIVE, SHAPES, as_arrays, fields, random_frame, random_noise
+from tests.helpers import (
+    RELATIVE,
+    SHAPES,
+    as_arrays,
+    fields,
+    random_frame,
+    random_noise,
+    settings_of,
+)
 from tests.reference import plain_loops
 
-SETTINGS = jaxblur.Settings(samples=9, radius=6)
+SETTINGS = jaxblur.GuertinSettings(samples=9, radius=6)
 PARAMETERS = {
     "guertin2014": jaxblur.GuertinParameters(depth_sharpness=3.0),
     "mcguire2012": jaxblur.McGuireParameters(0.8),
@@ -24,10 +32,11 @@ PARAMETERS = {
 
 
 def change(settings=SETTINGS, **fields_):
-    return jaxblur.Settings(**(fields(settings) | fields_))
+    return jaxblur.GuertinSettings(**(fields(settings) | fields_))
 
 
 def run(name, frame, settings=SETTINGS, noise=None):
+    settings = settings_of(name, settings)
     return np.asarray(FILTERS[name](frame, PARAMETERS[name], settings=settings, noise=noise))
 
 
@@ -103,7 +112,8 @@ def test_jit_and_vmap_equal_the_plain_call(name):
     absolute = 2e-5 if name == "layered" else 0
     frames = [random_frame((9, 11), seed=seed) for seed in range(3)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *frames)
-    batched = jax.vmap(lambda f: FILTERS[name](f, PARAMETERS[name], settings=SETTINGS))(stacked)
+    settings = settings_of(name, SETTINGS)
+    batched = jax.vmap(lambda f: FILTERS[name](f, PARAMETERS[name], settings=settings))(stacked)
     for one, frame in zip(batched, frames, strict=True):
         np.testing.assert_allclose(one, run(name, frame), rtol=1e-5, atol=absolute)
     with jax.disable_jit():

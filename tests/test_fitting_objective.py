@@ -29,7 +29,7 @@ from tests.planted import TRUE
 
 FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
 SHAPE = (13, 17)
-RUN = jaxblur.Settings(samples=5, radius=6, fetch="bilinear")
+RUN = jaxblur.GuertinSettings(samples=5, radius=6, fetch="bilinear")
 
 
 def as_float64(frame):
@@ -80,7 +80,7 @@ def test_expected_loss_is_the_average_error_of_what_runs():
 
 def _loss_with_taps(frame, noise, over):
     settings = objective().smooth_settings
-    assert settings.tile_choice == "expected"
+    assert isinstance(settings, jaxblur.GuertinSettings) and settings.tile_choice == "expected"
     parameters = jaxblur.GuertinParameters(**TRUE)
     outcomes = tile_outcomes(frame, parameters, settings=settings, noise=noise)
     return float(jnp.mean(error_map("mse", over, Outcomes(*outcomes), jnp.full((*SHAPE, 3), 0.4))))
@@ -140,7 +140,7 @@ def test_noise_is_uniform_and_depends_on_pair_and_key_alone():
 
 
 def test_settings_are_made_differentiable_only_where_needed():
-    nearest = jaxblur.Settings(samples=5, radius=6)
+    nearest = jaxblur.GuertinSettings(samples=5, radius=6)
     assert objective(settings=nearest, free=("kappa", "tau")).smooth_settings == (
         dataclasses.replace(nearest, tile_choice="expected")
     )
@@ -152,11 +152,11 @@ def test_settings_are_made_differentiable_only_where_needed():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "mse error expected over the stochastic choice of tile; fixed noise, 1 a step"),
-        ({"over": "mean"}, "of the mean image over the choice of tile"),
-        ({"settings": jaxblur.Settings()}, "color read bilinear (in place of nearest)"),
-        ({"settings": jaxblur.Settings(noise="none")}, "; no noise;"),
-        ({"settings": jaxblur.Settings(tile_choice="own")}, "mse error of the image;"),
+        ({}, "mse error expected over the random outcomes; fixed noise, 1 a step"),
+        ({"over": "mean"}, "of the mean image over the random outcomes"),
+        ({"settings": jaxblur.GuertinSettings()}, "color read bilinear (in place of nearest)"),
+        ({"settings": jaxblur.GuertinSettings(noise="none")}, "; no noise;"),
+        ({"settings": jaxblur.GuertinSettings(tile_choice="own")}, "mse error of the image;"),
     ],
 )
 def test_the_result_says_what_was_minimized(changes, words):
@@ -172,7 +172,7 @@ def test_equal_objectives_compile_once():
         return x
 
     count(objective(), 1.0)
-    count(objective(settings=jaxblur.Settings(samples=5, radius=6, fetch="bilinear")), 2.0)
+    count(objective(settings=jaxblur.GuertinSettings(samples=5, radius=6, fetch="bilinear")), 2.0)
     assert len(traced) == 1
     count(objective(noise_draws=2), 2.0)
     assert len(traced) == 2

@@ -14,7 +14,7 @@ from jaxblur.fitting import profile, search_settings
 from jaxblur.fitting.objective import draw_noise
 from tests.planted import TRUE, planted_pair, smooth_frame
 
-QUICK = jaxblur.Settings(samples=5, radius=16)
+QUICK = jaxblur.GuertinSettings(samples=5, radius=16)
 
 
 def quick_fit(pairs=None, **options):

@@ -18,7 +18,7 @@ experiment = importlib.import_module("experiments.008_hard_cases.run")
 encoding = importlib.import_module("experiments.008_hard_cases.encoding")
 
 # As the invariants are checked, so that they share the compilation.
-SETTINGS = jaxblur.Settings(
+SETTINGS = jaxblur.GuertinSettings(
     samples=cases.SAMPLES,
     radius=cases.RADIUS,
     fetch="bilinear",
@@ -82,7 +82,7 @@ def test_the_measures_see_what_is_broken():
     setup = measuring.relative(measuring.Setup("pixel_velocity", SETTINGS), {"samples": 7})
     by_name = {case.name: case for case in CASES}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(measuring.FILTERS, "pixel_velocity", broken_filter)
+        patch.setattr(measuring, "FILTERS", {"pixel_velocity": broken_filter})
         still = measuring.measure(setup, by_name["zero"].frame)
         swirl = measuring.measure(setup, by_name["half-float buffers"].frame)
         broken = measuring.broken_invariants(setup, by_name["half-float buffers"].frame)
@@ -99,9 +99,8 @@ def test_finite_differences_tell_a_wrong_derivative():
     wrong.defjvp(lambda primals, tangents: (primals[0] ** 2, 1.9 * primals[0] * tangents[0]))
     setup = measuring.relative(measuring.Setup("pixel_velocity", SETTINGS), {"samples": 3})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(
-            measuring.FILTERS, "pixel_velocity", lambda frame, *_, **__: wrong(frame.color)
-        )
+        squared = {"pixel_velocity": lambda frame, *_, **__: wrong(frame.color)}
+        patch.setattr(measuring, "FILTERS", squared)
         numbers = measuring.measure(setup, cases.plain_frame((6, 7)))
     assert numbers.wrong > 0.5 and numbers.jumps == 0
 

@@ -9,7 +9,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, metrics, scenes
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.filters.reaching import fine_tile, reaching_pixels
 from jaxblur.filters.silhouettes import purest_motion
 from tests.exr_files import CAR
@@ -86,7 +86,7 @@ def test_the_pan_of_the_catalogue_is_the_box_filter(noise):
     frame = scenes.render(scenes.SCENES["uniform_pan"](), 0.0, 0.5, (180, 320))
     (speed, _), rest = np.asarray(frame.velocity[0, 0]), frame.velocity - frame.velocity[0, 0]
     assert abs(speed) > 1 and float(jnp.max(jnp.abs(rest))) < 1e-3
-    settings = dataclasses.replace(PUBLISHED["layered"][1], noise=noise)
+    settings = dataclasses.replace(filter_info("layered").settings, noise=noise)
     blurred = jaxblur.layered(frame, PARAMETERS, settings=settings)
     times = (np.arange(400) + 0.5) / 200 - 1
     color = np.asarray(frame.color)

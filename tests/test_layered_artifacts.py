@@ -8,7 +8,7 @@ import numpy as np
 
 import jaxblur
 from jaxblur import metrics
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.reaching import fine_tile
 
 robustness = importlib.import_module("experiments.012_layered.robustness")
@@ -81,7 +81,7 @@ def test_no_more_flicker_than_the_published_filter():
     truths = np.stack(truths)
     flicker = {}
     for name in ("layered", "guertin2014"):
-        blur, parameters = FILTERS[name], PUBLISHED[name][0]
+        blur, parameters = FILTERS[name], filter_info(name).make_parameters()
         images = np.stack([blur(frame, parameters, settings=SETTINGS) for frame in frames])
         pairs = metrics.temporal_difference_error(images, truths)
         flicker[name] = float(np.sqrt(np.mean(np.square(pairs))))

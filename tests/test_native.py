@@ -37,13 +37,14 @@ def runs(name, **options):
     both = []
     backends: tuple[Backend, Backend] = ("native", "xla")
     for backend in backends:
-        settings = jaxblur.Settings(samples=samples, radius=5, backend=backend, **options)
+        kind = jaxblur.filter_info(name).kind
+        settings = kind(samples=samples, radius=5, backend=backend, **options)
         both.append(functools.partial(jaxblur.FILTERS[name], settings=settings))
     return both
 
 
 def parameters_of(name):
-    return jaxblur.filters.PUBLISHED[name][0]
+    return jaxblur.filter_info(name).make_parameters()
 
 
 def assert_trees_close(ours, theirs, tolerance):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.guertin2014 import tile_outcomes
 from jaxblur.nonfinite import Ignored
-from tests.helpers import random_frame
+from tests.helpers import random_frame, settings_of
 
-SETTINGS = jaxblur.Settings(samples=9, radius=6)
+SETTINGS = jaxblur.GuertinSettings(samples=9, radius=6)
 
 
 def with_value(frame, name, value, where=(3, 5)):
@@ -23,8 +23,8 @@ def with_value(frame, name, value, where=(3, 5)):
 
 
 def run(name, frame, **options):
-    parameters = PUBLISHED[name][0]
-    settings = dataclasses.replace(SETTINGS, **options)
+    parameters = filter_info(name).make_parameters()
+    settings = settings_of(name, dataclasses.replace(SETTINGS, **options))
     return np.asarray(FILTERS[name](frame, parameters, settings=settings))
 
 

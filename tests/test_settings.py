@@ -1,7 +1,9 @@
+from typing import Any
+
 import pytest
 
 import jaxblur
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from tests.helpers import random_frame
 
 
@@ -24,7 +26,7 @@ from tests.helpers import random_frame
 )
 def test_settings_refuse(change, message):
     with pytest.raises(ValueError, match=message):
-        jaxblur.Settings(**change)
+        jaxblur.GuertinSettings(**change)
 
 
 def test_mcguire_refuses_an_even_number_of_samples():
@@ -38,17 +40,18 @@ def test_mcguire_refuses_an_even_number_of_samples():
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_equal_settings_trace_once(name):
-    parameters, settings = PUBLISHED[name]
+    info = filter_info(name)
+    parameters, settings = info.make_parameters(), info.settings
     frame = random_frame((5, 6))
-    FILTERS[name](frame, parameters, settings=settings)
-    count = FILTERS[name]._cache_size()
+    blur: Any = info.call
+    blur(frame, parameters, settings=settings)
+    count = blur._cache_size()
     fields = {field: getattr(settings, field) for field in settings.__dataclass_fields__}
-    FILTERS[name](frame, parameters, settings=jaxblur.Settings(**fields))
-    assert FILTERS[name]._cache_size() == count
+    blur(frame, parameters, settings=info.kind(**fields))
+    assert blur._cache_size() == count
 
 
-def test_filters_and_published_settings_name_the_same():
-    assert FILTERS.keys() == PUBLISHED.keys()
+def test_published_parameters_of_guertin():
     assert jaxblur.GuertinParameters() == jaxblur.GuertinParameters(
         kappa=40.0, gamma=1.5, tau=1.0, eta=0.95, phi=27.0, depth_sharpness=1.0
     )

@@ -11,7 +11,7 @@ pytest.importorskip("matplotlib")
 
 import jaxblur
 from jaxblur import metrics, show
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.taps import taps_at
 
 from .helpers import random_frame, random_noise
@@ -137,7 +137,8 @@ def test_the_overlay_draws_grid_tint_and_arrows_of_the_tiles():
 @pytest.mark.parametrize("name", sorted(FILTERS))
 def test_texel_weights_make_the_pixel(name):
     frame = random_frame((14, 18), speed=8)
-    parameters, usual = PUBLISHED[name]
+    info = filter_info(name)
+    parameters, usual = info.make_parameters(), info.settings
     settings = dataclasses.replace(usual, samples=9, radius=7)
     noise = random_noise((14, 18))
     blurred = FILTERS[name](frame, parameters, settings=settings, noise=noise)
@@ -152,7 +153,7 @@ def test_texel_weights_make_the_pixel(name):
 )
 def test_taps_lie_on_all_texels_with_weight(tile_choice, split):
     frame, noise = random_frame((20, 26), speed=8), random_noise((20, 26))
-    settings = dataclasses.replace(SETTINGS, tile_choice=tile_choice, split=split)
+    settings = jaxblur.GuertinSettings(samples=9, radius=8, tile_choice=tile_choice, split=split)
     row, column = 8, 9
     taps = taps_at(frame, jaxblur.GuertinParameters(), row, column, settings=settings, noise=noise)
     options = {"settings": settings, "noise": noise}

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxblur
 from jaxblur.exr import inspect, read_image
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from tests.command_line import run
 from tests.exr_files import CAR, plain_frame, write_single
 
@@ -110,7 +110,8 @@ def test_the_command_line_turns_the_sky_where_asked_to_and_says_so(tmp_path):
     assert outcome.status == 0, outcome.err
     assert "turns with the camera, half-spread" in outcome.err
     turned = jaxblur.turning_sky(jaxblur.read_frame(file))
-    _, settings = PUBLISHED["pixel_velocity"]
+    info = filter_info("pixel_velocity")
+    _, settings = info.make_parameters(), info.settings
     expected = np.asarray(jaxblur.pixel_velocity(turned, None, settings=settings))
     np.testing.assert_allclose(read_image(out), expected, rtol=1e-3, atol=1e-3)
     assert 'sky = "camera"' in inspect(out).parts[0].attributes["jaxblur:settings"]

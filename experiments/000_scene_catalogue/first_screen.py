@@ -13,7 +13,7 @@ from PIL import Image
 
 import jaxblur
 from jaxblur import metrics, scenes, show
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 
 SCENE, SIZE, SHUTTER, SAMPLES = "cubes_on_teapot", (240, 400), 1.0, 128
 METHOD = "layered"
@@ -25,7 +25,8 @@ def draw() -> bytes:
     scene = scenes.SCENES[SCENE]()
     frame = scenes.render(scene, 0.0, SHUTTER, SIZE, path=True)
     truth = scenes.accumulate(scene, 0.0, SHUTTER, SAMPLES, SIZE)
-    parameters, settings = PUBLISHED[METHOD]
+    info = filter_info(METHOD)
+    parameters, settings = info.make_parameters(), info.settings
     blurred = jaxblur.FILTERS[METHOD](frame, parameters, settings=settings)
     images = {"sharp frame": frame.color, f"jaxblur, {METHOD}": blurred, "truth": truth}
     for name, image in images.items():

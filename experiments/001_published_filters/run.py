@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxblur
 from jaxblur import exr, metrics, pictures, report
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 
 WINDOW = (80, 120)
 OVERVIEW_METHOD = "guertin2014"
@@ -98,15 +98,15 @@ def read_shot(truth: Path, shutter: float) -> Shot:
 
 def methods() -> dict[str, Blur]:
     """Every filter at its defaults, and mcguire2012 also with 35 taps as the newer filters have."""
-    runs = {name: (name, *PUBLISHED[name]) for name in ("pixel_velocity", "mcguire2012")}
-    parameters, _ = PUBLISHED["mcguire2012"]
-    runs["mcguire2012, 35 taps"] = ("mcguire2012", parameters, jaxblur.Settings())
-    runs |= {name: (name, *PUBLISHED[name]) for name in ("guertin2014", "layered")}
-    return {label: _blur(*run) for label, run in runs.items()}
+    runs = {name: _blur(name) for name in ("pixel_velocity", "mcguire2012")}
+    runs["mcguire2012, 35 taps"] = _blur("mcguire2012", jaxblur.Settings())
+    return runs | {name: _blur(name) for name in ("guertin2014", "layered")}
 
 
-def _blur(name: str, parameters: Any, settings: jaxblur.Settings) -> Blur:
-    return lambda frame: jaxblur.FILTERS[name](frame, parameters, settings=settings)
+def _blur(name: str, settings: jaxblur.Settings | None = None) -> Blur:
+    info = filter_info(name)
+    parameters, settings = info.make_parameters(), settings or info.settings
+    return lambda frame: info.call(frame, parameters, settings=settings)
 
 
 def blur_all(shot: Shot) -> dict[tuple[str, str], Any]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from experiments.common import output_parser
 from jaxblur import metrics, pictures, scenes, show
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 
 CUBES = 500
 CROP = 48
@@ -184,7 +184,8 @@ def convergence(plan: Plan, name: str, truth: jax.Array) -> list[Row]:
         rows.append(scored(Row("convergence", name, "accumulate", samples), image, truth))
     frame = scenes.render(scene, size=plan.size)
     for filter_name in plan.filters:
-        parameters, settings = PUBLISHED[filter_name]
+        info = filter_info(filter_name)
+        parameters, settings = info.make_parameters(), info.settings
         image = FILTERS[filter_name](frame, parameters, settings=settings)
         rows.append(scored(Row("convergence", name, filter_name, ""), image, truth))
     rows.append(scored(Row("convergence", name, "sharp", ""), frame.color, truth))

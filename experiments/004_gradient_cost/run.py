@@ -127,7 +127,7 @@ def main() -> None:
     repeats = 3 if options.quick else options.repeats
     rows = []
     for size, fetch, choice in itertools.product(sizes, ("nearest", "bilinear"), choices):
-        settings = jaxblur.Settings(fetch=fetch, tile_choice=choice)
+        settings = jaxblur.GuertinSettings(fetch=fetch, tile_choice=choice)
         rows += measure(size, settings, repeats)
     write_tables(options.output, rows)
 

@@ -21,7 +21,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from experiments.common import Example
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.fitting.objective import draw_noise
 from jaxblur.metrics import display, motion_footprint, psnr
 from jaxblur.planning import FrameStatistics, frame_statistics
@@ -82,9 +82,10 @@ CANDIDATES = {
 def fitted(candidate: Candidate, examples: Sequence[Example]) -> dict[str, float]:
     """Parameters of a candidate, fitted at `FITTED_AT` samples, or published if not guertin2014."""
     if candidate.filter != common.GUERTIN:
-        published = PUBLISHED[candidate.filter][0]
-        return {} if published is None else vars(published)
-    settings = jaxblur.Settings(samples=FITTED_AT, radius=FITTED_RADIUS, **candidate.settings)
+        return filter_info(candidate.filter).defaults
+    settings = jaxblur.GuertinSettings(
+        samples=FITTED_AT, radius=FITTED_RADIUS, **candidate.settings
+    )
     return common.refit(examples, settings, candidate.free, candidate.fixed, STEPS).parameters
 
 
@@ -102,10 +103,9 @@ def runs(parameters: Mapping[str, Mapping[str, float]], radius: int) -> dict[tup
     """Every candidate at every number of samples, as a function of frame and noise."""
     table = {}
     for (label, candidate), samples in itertools.product(CANDIDATES.items(), SAMPLES):
-        published = PUBLISHED[candidate.filter][0]
-        values = at_samples(parameters[label], samples)
-        record = None if published is None else dataclasses.replace(published, **values)
-        settings = jaxblur.Settings(samples=samples, radius=radius, **candidate.settings)
+        info = filter_info(candidate.filter)
+        record = info.make_parameters(**at_samples(parameters[label], samples))
+        settings = info.kind(samples=samples, radius=radius, **candidate.settings)
         table[label, samples] = _run(candidate.filter, record, settings)
     return table
 

@@ -7,7 +7,6 @@ that `layered` loses without each part, by kind of scene, and its lead over guer
 pixel_velocity as published. Nothing is fitted. Writes ``layered_parts.csv`` and ``.md``.
 """
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -16,7 +15,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from experiments.common import Example
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.fitting.objective import draw_noise
 from jaxblur.metrics import display, motion_footprint, psnr
 
@@ -39,8 +38,7 @@ WITHOUT: dict[str, tuple[str, dict[str, float], dict[str, Any]]] = {
 
 def score(example: Example, name: str, values: dict[str, float], changes: dict[str, Any]) -> float:
     """PSNR over the pixels that motion reaches, in dB."""
-    published = PUBLISHED[name][0]
-    record = None if published is None else dataclasses.replace(published, **values)
+    record = filter_info(name).make_parameters(**values)
     chosen = {"samples": SAMPLES, "radius": RADIUS, "fetch": "bilinear"} | changes
     height, width = example.frame.depth.shape
     noise = draw_noise(jax.random.key(2), (height, width))

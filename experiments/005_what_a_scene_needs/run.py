@@ -84,12 +84,12 @@ class Variant(NamedTuple):
     present: frozenset[str]
 
     @property
-    def settings(self) -> jaxblur.Settings:
+    def settings(self) -> jaxblur.GuertinSettings:
         """Settings that switch each component on or off."""
         chosen: dict[str, Any] = {}
         for name, component in COMPONENTS.items():
             chosen |= component.on if name in self.present else component.off
-        return jaxblur.Settings(samples=SAMPLES, radius=RADIUS, **chosen)
+        return jaxblur.GuertinSettings(samples=SAMPLES, radius=RADIUS, **chosen)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ class Judged(NamedTuple):
 def judge(
     label: str,
     parameters: Mapping[str, float],
-    settings: jaxblur.Settings,
+    settings: jaxblur.GuertinSettings,
     examples: Sequence[Example],
 ) -> list[Judged]:
     """Score the filter on scenes that it was not fitted to."""
@@ -158,7 +158,7 @@ def cross_validate(
 
 
 def milliseconds(
-    runs: Mapping[str, tuple[Any, jaxblur.Settings]], frame: jaxblur.Frame, repeats: int
+    runs: Mapping[str, tuple[Any, jaxblur.GuertinSettings]], frame: jaxblur.Frame, repeats: int
 ) -> dict[str, float]:
     """Median time of each run on one frame; runs are interleaved so that load affects all alike."""
     times: dict[str, list[float]] = {label: [] for label in runs}

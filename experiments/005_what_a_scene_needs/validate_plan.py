@@ -15,7 +15,7 @@ import jax
 import jaxblur
 from experiments import common
 from experiments.common import Example
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.fitting.objective import draw_noise
 from jaxblur.metrics import display, motion_footprint, psnr
 from jaxblur.planning import constants
@@ -33,10 +33,11 @@ def full_plan(frame: jaxblur.Frame) -> jaxblur.Plan:
         if record["spread"] == 0 and not any(record["loss"])
     ]
     statistics = jaxblur.frame_statistics(frame)
+    info = filter_info(record["filter"])
     return jaxblur.Plan(
-        filter=record["filter"],
-        settings=jaxblur.Settings(**record["settings"], radius=statistics.radius),
-        parameters=type(PUBLISHED[record["filter"]][0])(**record["parameters"]),
+        filter=info.name,
+        settings=info.kind(**record["settings"], radius=statistics.radius),
+        parameters=info.make_parameters(**record["parameters"]),
         reason="the measure of loss",
         loss=0.0,
         spread=0.0,

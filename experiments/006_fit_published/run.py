@@ -22,14 +22,14 @@ import jaxblur
 from experiments import common
 from experiments.common import GUERTIN, Example
 from jaxblur import fitting, metrics, pictures, report, show
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.fitting.objective import draw_noise
 
 SCENES = ("camera_turn", "zoom", "crossing", "cube_between_crates", "gears", "rotor_over_city")
 MOVIES = ("cube_between_crates", "gears")
 SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 2.0, 96
 FRAMES, INTERVAL = 8, 2.0
-SETTINGS = jaxblur.Settings(samples=15, radius=16)
+SETTINGS = jaxblur.GuertinSettings(samples=15, radius=16)
 FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
 REFERENCE_WIDTH = 320
 SEEDS = (11, 12, 13)
@@ -178,7 +178,7 @@ def unmended(
 
 
 def _published() -> dict[str, float]:
-    return dict(vars(PUBLISHED[GUERTIN][0]))
+    return filter_info(GUERTIN).defaults
 
 
 def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:

@@ -22,7 +22,7 @@ import numpy as np
 import jaxblur
 from experiments.common import output_parser, write_table
 from jaxblur import exr, metrics
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 
 DATA = Path(__file__).parents[2] / "tests" / "data"
 SCENES = ("cube_over_crates", "falling_cubes", "sky_car")
@@ -79,13 +79,16 @@ def rows() -> list[tuple[str | int | float, ...]]:
 
 
 def _of_radius(scene, name, radius, frame, truth):
-    settings = jaxblur.Settings(radius=radius, fetch="bilinear", tile_choice="expected")
-    blur = functools.partial(jaxblur.FILTERS[name], settings=settings)
+    info = filter_info(name)
+    expected = {"tile_choice": "expected"} if name == "guertin2014" else {}
+    settings = info.make_settings(samples=35, radius=radius, fetch="bilinear", **expected)
+    parameters = info.make_parameters()
+    blur = functools.partial(info.call, settings=settings)
     speed = np.linalg.norm(np.asarray(frame.velocity), axis=-1)
     unencoded, found = None, []
     for encoding, encode in ENCODINGS.items():
         velocity = encode(frame.velocity, radius)
-        image = np.asarray(blur(dataclasses.replace(frame, velocity=velocity), PUBLISHED[name][0]))
+        image = np.asarray(blur(dataclasses.replace(frame, velocity=velocity), parameters))
         unencoded = image if unencoded is None else unencoded
         same = encoding == "float32"
         figures = (

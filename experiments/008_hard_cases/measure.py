@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxblur
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.safe_math import safe_norm
 
 STEP, ASIDE = 1e-7, 1e-3
@@ -35,12 +35,12 @@ class Setup(NamedTuple):
     """A filter and its settings; hashable, so that each shape and type compiles once.
 
     Attributes:
-        name: a key of `jaxblur.FILTERS`.
-        settings: static settings.
+        name: of a registered filter.
+        settings: static settings; choices that the filter does not have are left out.
     """
 
     name: str
-    settings: jaxblur.Settings
+    settings: jaxblur.GuertinSettings
 
 
 class Numbers(NamedTuple):
@@ -74,16 +74,20 @@ def call(setup: Setup, inputs: Inputs, noise: jaxblur.Noise | None = None) -> ja
     """Run the filter on a dict of color, depth, velocity, parameters and, optionally, valid."""
     buffers = {name: inputs[name] for name in ("color", "depth", "velocity")}
     frame = jaxblur.Frame(**buffers, valid=inputs.get("valid"))
-    parameters = PUBLISHED[setup.name][0]
-    if parameters is not None:
-        parameters = dataclasses.replace(parameters, **inputs["parameters"])
-    return FILTERS[setup.name](frame, parameters, settings=setup.settings, noise=noise)
+    parameters = filter_info(setup.name).make_parameters(**inputs["parameters"])
+    settings = settings_of(setup.name, setup.settings)
+    return FILTERS[setup.name](frame, parameters, settings=settings, noise=noise)
+
+
+def settings_of(name: str, settings: jaxblur.Settings) -> jaxblur.Settings:
+    """Some settings without the choices that a filter does not have."""
+    kind = filter_info(name).kind
+    return kind(**{f.name: getattr(settings, f.name) for f in dataclasses.fields(kind)})
 
 
 def as_inputs(setup: Setup, frame: jaxblur.Frame, dtype: str) -> Inputs:
     """A frame and the published parameters as a dict for `call`, all in one type."""
-    record = PUBLISHED[setup.name][0]
-    values = {} if record is None else dataclasses.asdict(record)
+    values = filter_info(setup.name).defaults
     inputs: Inputs = {
         name: jnp.asarray(getattr(frame, name), dtype) for name in ("color", "depth", "velocity")
     }

@@ -60,13 +60,13 @@ KEYS = {"hard_cases": COLUMNS[:3], "transformations": transformations.COLUMNS[:2
 """Columns that identify a row."""
 
 SUMMARY_COLUMNS = ("case", "filters", *COLUMNS[3:])
-TOO_FEW, ODD = "`samples` must be at least", "must be odd"
+TOO_FEW, ODD = "samples` must be at least", "must be odd"
 
 
 def row(name: str, fetch: str, case: Any) -> tuple[Any, ...]:
     """Measure one filter on one case: its row."""
     frame, _ = jaxblur.finite_frame(case.frame, case.nonfinite)
-    settings = jaxblur.Settings(samples=case.samples, radius=case.radius, **MODES[fetch])
+    settings = jaxblur.GuertinSettings(samples=case.samples, radius=case.radius, **MODES[fetch])
     setup = measuring.Setup(name, settings)
     try:
         numbers = measuring.measure(setup, frame)

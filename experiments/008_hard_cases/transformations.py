@@ -21,7 +21,7 @@ COLUMNS = ("filter", "what", "largest difference", "bit-equal")
 LARGE, PART = (2160, 4096), (8, 16)
 """Size of the large frame, and size in tiles of the part that is also filtered alone."""
 
-SETTINGS = jaxblur.Settings(samples=9, radius=6, fetch="bilinear", tile_choice="expected")
+SETTINGS = jaxblur.GuertinSettings(samples=9, radius=6, fetch="bilinear", tile_choice="expected")
 
 
 def rows(name: str, what: str) -> list[tuple[str, ...]]:
@@ -147,7 +147,7 @@ CHECKS: dict[str, Callable[[Any, Any], tuple[Any, Any]]] = {
 
 def _large(setup: Any, _: Any) -> tuple[Any, Any]:
     """The corner of a large frame: cropped from the result, and filtered alone."""
-    settings = jaxblur.Settings(samples=9, radius=40, noise="none", tile_choice="own")
+    settings = jaxblur.GuertinSettings(samples=9, radius=40, noise="none", tile_choice="own")
     setup = measuring.Setup(setup.name, settings)
     inputs = measuring.as_inputs(setup, _large_frame(), "float32")
     start = time.perf_counter()

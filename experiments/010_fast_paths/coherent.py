@@ -21,7 +21,7 @@ from jax import lax
 import jaxblur
 from experiments import common
 from jaxblur import metrics
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 from jaxblur.safe_math import safe_norm
 
 SCENES = ("uniform_pan", "camera_turn", "flagpole", "camera_dolly", "tracked_car", "zoom")
@@ -29,7 +29,8 @@ SIZE, SHUTTER, TRUTH_SAMPLES = (360, 640), 0.5, 96
 SPREAD = 0.25
 """Difference of two velocities of a ring, as a share of its fastest, up to which it is coherent."""
 STILL = 0.5
-PARAMETERS, SETTINGS = PUBLISHED["guertin2014"]
+info = filter_info("guertin2014")
+PARAMETERS, SETTINGS = info.make_parameters(), info.settings
 WAYS = {
     "one direction": {"directions": "one"},
     "a sample every 0.7 px": {"spacing": 0.7},

@@ -28,7 +28,7 @@ import jaxblur
 from experiments.common import write_table
 from jaxblur.bench.frames import moving_frame
 from jaxblur.bench.timing import time_in_turn
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 
 SIZE = (720, 1280)
 COLUMNS = ("what", "ms", "CPU ms", "times the reference", "reference", "temporaries, MB")
@@ -42,13 +42,13 @@ start = time.perf_counter()
 import jax
 from jaxblur.cli.compute import start_jax
 from jaxblur.bench.frames import moving_frame
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import filter_info
 start_jax(compile_cache=True)
 jax.block_until_ready(jax.numpy.ones(1))
 imported = time.perf_counter()
 frame = moving_frame(720, 1280)
-blur, (parameters, settings) = FILTERS[sys.argv[1]], PUBLISHED[sys.argv[1]]
-blur(frame, parameters, settings=settings).block_until_ready()
+info = filter_info(sys.argv[1])
+info.call(frame, info.make_parameters(), settings=info.settings).block_until_ready()
 print(imported - start, time.perf_counter() - imported)
 """
 
@@ -94,16 +94,16 @@ class Subject:
 
     def row(self, name: str, frame: jaxblur.Frame, reference: str, **changes: Any) -> Row:
         """A run with some settings changed."""
-        settings = dataclasses.replace(SETTINGS, **changes)
-        blur = functools.partial(
-            FILTERS[self.filter], parameters=PUBLISHED[self.filter][0], settings=settings
-        )
+        info = filter_info(self.filter)
+        settings = info.kind(**dataclasses.asdict(SETTINGS) | changes)
+        parameters = info.make_parameters()
+        blur = functools.partial(info.call, parameters=parameters, settings=settings)
         return compiled_row(name, lambda frame: blur(frame), reference, frame)
 
     def gradient_rows(self, frame: jaxblur.Frame, fetch: str) -> list[Row]:
         """Loss, gradient of four parameters, gradient of everything."""
         settings = dataclasses.replace(SETTINGS, fetch=fetch)
-        parameters = jax.tree.map(jnp.float32, PUBLISHED[self.filter][0])
+        parameters = jax.tree.map(jnp.float32, filter_info(self.filter).make_parameters())
 
         def loss(frame, parameters):
             blurred = FILTERS[self.filter](frame, parameters, settings=settings)
@@ -164,8 +164,10 @@ def published_rows(frame: jaxblur.Frame) -> list[Row]:
     """Every filter with its own parameters and settings."""
     reference = "guertin2014 as published"
     rows = []
-    for name, (parameters, settings) in PUBLISHED.items():
-        blur = functools.partial(FILTERS[name], parameters=parameters, settings=settings)
+    for name in FILTERS:
+        info = filter_info(name)
+        parameters = info.make_parameters()
+        blur = functools.partial(info.call, parameters=parameters, settings=info.settings)
         rows.append(
             compiled_row(f"{name} as published", lambda f, blur=blur: blur(f), reference, frame)
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments import common
 from jaxblur import metrics, pictures, scenes
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import FILTERS, filter_info
 
 SIZE, SHUTTER, TRUTH_SAMPLES = (360, 640), 1.0, 256
 PART = np.s_[100:190, 335:475]
@@ -71,7 +71,8 @@ def sheet_row(example: common.Example, part: Any) -> tuple[list[np.ndarray], lis
     """Pictures of a part of a scene, and PSNR of the sharp frame and both filters there."""
     images = []
     for name in RIVALS:
-        parameters, settings = PUBLISHED[name]
+        info = filter_info(name)
+        parameters, settings = info.make_parameters(), info.settings
         images.append(np.asarray(FILTERS[name](example.frame, parameters, settings=settings)))
     cells = [np.asarray(example.frame.color), *images, np.asarray(example.truth)]
     cells = [enlarged(cell[part]) for cell in cells]

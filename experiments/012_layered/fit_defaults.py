@@ -22,7 +22,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from jaxblur import metrics
-from jaxblur.filters import PUBLISHED
+from jaxblur.filters import filter_info
 
 HALVES = (
     ("zoom", "tracked_car", "crossing", "rotor_over_city", "cubes_on_teapot"),
@@ -31,7 +31,8 @@ HALVES = (
 SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 1.5, 96
 TOLD = ("front_sharpness", "landing_tolerance", "own_tolerance")
 ALL = (*TOLD, "surface_sharpness", "distinct")
-DEFAULTS, SETTINGS = PUBLISHED["layered"]
+info = filter_info("layered")
+DEFAULTS, SETTINGS = info.make_parameters(), info.settings
 STARTS = {
     "round values": {"front_sharpness": 10.0, "landing_tolerance": 1.0, "own_tolerance": 0.35},
     "soft": {"front_sharpness": 3.0, "landing_tolerance": 2.0, "own_tolerance": 1.0},

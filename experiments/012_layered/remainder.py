@@ -36,13 +36,13 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxblur.sampling import read_nearest, read_position
 from scipy import ndimage
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics, scenes
-from jaxblur.filters import PUBLISHED
-from jaxblur.sampling import read_nearest, read_position
+from jaxblur.filters import filter_info
 
 SCENES = (
     *("cube_between_crates", "cubes_on_teapot", "flagpole"),
@@ -50,7 +50,8 @@ SCENES = (
 )
 SIZE, SHUTTER, TRUTH_SAMPLES = (144, 256), 1.0, 192
 TIMES, SUBPIXELS, MANY = 33, 8, 350
-PARAMETERS, SETTINGS = PUBLISHED["layered"]
+info = filter_info("layered")
+PARAMETERS, SETTINGS = info.make_parameters(), info.settings
 XLA = dataclasses.replace(SETTINGS, backend="xla")
 MISSING, JUMP = 0.1, 0.05
 

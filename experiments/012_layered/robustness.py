@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxblur.filters.reaching import fine_tile
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics
-from jaxblur.filters import FILTERS, PUBLISHED
-from jaxblur.filters.reaching import fine_tile
+from jaxblur.filters import FILTERS, filter_info
 from jaxblur.fitting.objective import draw_noise
 
 SCENES = ("cube_between_crates", "gears", "rotation_stress", "flagpole", "camera_dolly", "crossing")
@@ -32,7 +32,8 @@ TURNING, SEAM_SIZE, SEAM_FRAMES = ("gears", "rotation_stress"), (184, 320), 5
 
 def blur(name: str, frame: jaxblur.Frame, seed: int | None) -> Any:
     """Display values of a filter as published, with built-in noise or with noise from a seed."""
-    parameters, settings = PUBLISHED[name]
+    info = filter_info(name)
+    parameters, settings = info.make_parameters(), info.settings
     noise = None if seed is None else draw_noise(jax.random.key(seed), SIZE)
     return metrics.display(FILTERS[name](frame, parameters, settings=settings, noise=noise))
 
@@ -105,7 +106,7 @@ def seams_of(name: str, time: float) -> float:
         difference = blur("layered", frame, None) - metrics.display(example.truth[part])
         return np.square(np.asarray(difference)).mean(axis=-1)
 
-    return seam_ratio(error, SEAM_SIZE, fine_tile(PUBLISHED["layered"][1].radius))
+    return seam_ratio(error, SEAM_SIZE, fine_tile(filter_info("layered").settings.radius))
 
 
 def seam_row(name: str) -> list[Any]:

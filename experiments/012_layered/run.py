@@ -21,7 +21,7 @@ import numpy as np
 import jaxblur
 from experiments import common
 from jaxblur import exr, metrics, pictures
-from jaxblur.filters import FILTERS, PUBLISHED
+from jaxblur.filters import filter_info
 
 REPEATS = 7
 Blur = Callable[[jaxblur.Frame], Any]
@@ -29,10 +29,10 @@ Blur = Callable[[jaxblur.Frame], Any]
 
 def blur(name: str, parameters: dict[str, float] | None = None, **settings: Any) -> Blur:
     """A filter as published, except for the given parameters and settings."""
-    record, usual = PUBLISHED[name]
-    record = dataclasses.replace(record, **(parameters or {}))
-    chosen = dataclasses.replace(usual, **settings)
-    return lambda frame: FILTERS[name](frame, record, settings=chosen)
+    info = filter_info(name)
+    record = info.make_parameters(**(parameters or {}))
+    chosen = info.make_settings(**settings)
+    return lambda frame: info.call(frame, record, settings=chosen)
 
 
 def without_path(frame: jaxblur.Frame) -> Any:

@@ -182,9 +182,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
         weight = jnp.where(counts, weight, 0)
         colors = read_color(images.color, texel, settings.fetch)
         one, zero = jnp.ones((), weight.dtype), jnp.zeros((), weight.dtype)
-        return Sums(
-            tuple(weight * color for color in colors), weight, jnp.where(counts, one, zero)
-        )
+        return Sums(tuple(weight * color for color in colors), weight, jnp.where(counts, one, zero))
 
     sums = sum_over(settings.samples, sample, limit)
 
@@ -311,9 +309,7 @@ def hint_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
 # The filter
 
 
-def prepare_images(
-    frame: Frame, settings: GuertinSettings, noise: Noise | None
-) -> Images:
+def prepare_images(frame: Frame, settings: GuertinSettings, noise: Noise | None) -> Images:
     """Passes 1 to 3 and 12: the images that passes 4 to 11 read.
 
     Args:
@@ -371,9 +367,7 @@ def _keep(count: int, frame: Frame, *others: Array) -> jax.Array:
     return jnp.broadcast_to(color, (count, *color.shape))
 
 
-def checked_inputs(
-    frame: Frame, parameters: GuertinParameters
-) -> tuple[Frame, GuertinParameters]:
+def checked_inputs(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, GuertinParameters]:
     """Frame and parameters in one dtype.
 
     Args:
@@ -467,7 +461,12 @@ def guertin2014(
         ValueError: shapes disagree, a parameter is not a scalar, or the settings are those of
             another filter.
     """
-    return _mean(frame, parameters, noise, settings=checked_settings(settings, GuertinSettings, "guertin2014"))
+    return _mean(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
+    )
 
 
 def tile_outcomes(
@@ -496,7 +495,12 @@ def tile_outcomes(
     Raises:
         ValueError: as `guertin2014`.
     """
-    return _outcomes(frame, parameters, noise, settings=checked_settings(settings, GuertinSettings, "guertin2014"))
+    return _outcomes(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
+    )
 
 
 def luma_hint(
@@ -526,7 +530,12 @@ def luma_hint(
     Raises:
         ValueError: as `guertin2014`.
     """
-    return _hint(frame, parameters, noise, settings=checked_settings(settings, GuertinSettings, "guertin2014"))
+    return _hint(
+        frame,
+        parameters,
+        noise,
+        settings=checked_settings(settings, GuertinSettings, "guertin2014"),
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))

@@ -21,7 +21,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..settings import Settings
 from .parameters import ParameterInfo, infos_of
@@ -38,6 +38,7 @@ _NAME = re.compile(r"[A-Za-z]\w*")
 _registered: dict[str, FilterInfo] = {}
 
 
+@runtime_checkable
 class Filter(Protocol):
     """A filter: a function of a frame that gives its blurred color, (H, W, C)."""
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
 from ..noise import Noise
-from ..settings import Settings
+from ..settings import Settings, checked_settings
 from .constraints import to_values
 from .losses import Outcomes, Over, Pixel, error_map
 
@@ -47,6 +47,10 @@ class Objective:
     settings: Settings
     noise: NoiseMode
     noise_draws: int
+
+    def __post_init__(self):
+        info = self.filter
+        object.__setattr__(self, "settings", checked_settings(self.settings, info.kind, info.name))
 
     @property
     def filter(self) -> FilterInfo:

@@ -15,7 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from ..settings import Backend
 from .cpp import native_gather
-from .sums import Grid, Plan, channels_of, on_cpu, replaced, sum_samples
+from .sums import Grid, Plan, on_cpu, replaced, sum_samples
 from .tracing import Place, Stages
 
 
@@ -192,9 +192,7 @@ def _limit_of_planes(limit: Callable[..., Any], structure: Any) -> Callable[...,
     return lambda local: limit(jax.tree.unflatten(structure, [value for (value,) in local]))
 
 
-def _prepared(
-    plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
-) -> tuple[jax.Array, Any]:
+def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[jax.Array, Any]:
     """Which results are wanted, and the prepared values: planes are the terms of one sample.
 
     Their derivatives are then those of a sum, in native code too, and reverse mode computes these

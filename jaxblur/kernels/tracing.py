@@ -301,8 +301,11 @@ class _Cut:
         wanted = [v for v in loop.invars if not _is_literal(v) and (v in made or v in own)]
         wanted += _ordered(late & made, self.jaxpr.eqns)
         # Scalars get to the finish this way too, so that their derivatives are carried along.
-        wanted += [own[0] for own, table in zip(self.own, self.table, strict=True)
-                   if table is None and own[0] in late]
+        wanted += [
+            own[0]
+            for own, table in zip(self.own, self.table, strict=True)
+            if table is None and own[0] in late
+        ]
         self.again = [v for v in dict.fromkeys(wanted) if self._is_of_the_place(v)]
         self.prepared = [v for v in dict.fromkeys(wanted) if v not in self.again]
         for variable in self.prepared:
@@ -366,7 +369,13 @@ class _Cut:
         return self._inputs(place, local, tables) | dict(zip(self.found, found, strict=True))
 
     def _results(
-        self, numbers: Sequence[int], results: Any, place: Place, local: Any, tables: Any, found: Any
+        self,
+        numbers: Sequence[int],
+        results: Any,
+        place: Place,
+        local: Any,
+        tables: Any,
+        found: Any,
     ) -> list[Any]:
         look = self._run(numbers, self._with_found(place, local, tables, found))
         return [look(variable) for variable in results]

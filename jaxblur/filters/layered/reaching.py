@@ -222,9 +222,7 @@ def reaching_pixels(
     grid = pixel.shape[0], pixel.shape[1]
 
     def highest(lines: Lines) -> Int[Array, " tiles"]:
-        best = largest_marks(
-            draw_lines, grid, lines, pixel.size, settings=radius, backend=backend
-        )
+        best = largest_marks(draw_lines, grid, lines, pixel.size, settings=radius, backend=backend)
         return _line_of(best, grid, radius)
 
     first = highest(lines)

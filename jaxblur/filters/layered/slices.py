@@ -225,9 +225,7 @@ def ways_of(
         bent = turn[0] - half[0], turn[1] - half[1]
     ways = [Way(velocity, turn, bent, 1.0)]
     for other, own in others:
-        ways.append(
-            Way(other, (own * turn[0], own * turn[1]), (own * bent[0], own * bent[1]), own)
-        )
+        ways.append(Way(other, (own * turn[0], own * turn[1]), (own * bent[0], own * bent[1]), own))
     return ways
 
 
@@ -267,9 +265,7 @@ def _sum(terms: Sequence[Array]) -> Array:
     return functools.reduce(jnp.add, terms)
 
 
-def half_acceleration(
-    at: At, path: Image | None, taken: Array, radius: int
-) -> Vector | None:
+def half_acceleration(at: At, path: Image | None, taken: Array, radius: int) -> Vector | None:
     """Half the acceleration of the path that a pixel's motion is from, pixels; None without one."""
     if path is None:
         return None

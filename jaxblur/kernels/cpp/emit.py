@@ -112,9 +112,7 @@ class _Program:
         if kind.dtype not in _BUFFERS:
             raise Unsupported(f"operands of type {kind.dtype}")
         name, of = f"argument{position}", _BUFFERS[kind.dtype]
-        self._declarations.append(
-            f"const auto {name} = (const {of}*)job->arguments[{position}];"
-        )
+        self._declarations.append(f"const auto {name} = (const {of}*)job->arguments[{position}];")
         return name
 
     def _local(self, position: int, kind: Kind) -> tuple[Value, ...]:
