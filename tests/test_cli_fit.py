@@ -42,7 +42,7 @@ def test_it_fits_reports_and_writes(fitted):
         assert words in outcome.out
     for step in (1, 2, 3):
         assert f"step {step}/3 loss" in outcome.err
-    assert "minimized: mse error expected over the stochastic choice of tile" in outcome.err
+    assert "minimized: mse error expected over the random outcomes" in outcome.err
     assert [entry.name for entry in out.parent.iterdir()] == ["fitted.toml"], "no state is left"
 
 
