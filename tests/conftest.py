@@ -13,10 +13,6 @@ install_import_hook(
         "jaxblur.metrics",
         "jaxblur.noise",
         "jaxblur.safe_math",
-        "jaxblur.sample_sums",
-        "jaxblur.sampling",
-        "jaxblur.tiles",
-        "jaxblur.weights",
     ],
     "beartype.beartype",
 )

@@ -3,7 +3,6 @@
 import concurrent.futures
 import os
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -41,7 +40,9 @@ def test_a_compiler_that_fails_is_reported_in_its_own_words(monkeypatch, tmp_pat
     assert list((tmp_path / "jaxblur" / "kernels").iterdir()) == []
 
 
-def test_a_compiler_that_fails_is_asked_once_a_program_and_warned_of_once(monkeypatch, tmp_path, caplog):
+def test_a_compiler_that_fails_is_asked_once_a_program_and_warned_of_once(
+    monkeypatch, tmp_path, caplog
+):
     broken = tmp_path / "c++"
     broken.write_text(
         "#!/bin/sh\necho x >> $0.calls\necho 'kernel.cc: In function' >&2\n"

@@ -10,8 +10,9 @@ import pytest
 import jaxblur
 from jaxblur import exr, metrics, scenes
 from jaxblur.filters import filter_info
-from jaxblur.filters.reaching import fine_tile, reaching_pixels
-from jaxblur.filters.silhouettes import purest_motion
+from jaxblur.filters.layered import fine_tile
+from jaxblur.filters.layered.reaching import reaching_pixels
+from jaxblur.filters.layered.silhouettes import motion_of
 from tests.exr_files import CAR
 from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
 from tests.reference import layered_loops
@@ -149,7 +150,7 @@ def pure_velocity(velocity, log_depth, coverage):
     color = np.zeros((*log_depth.shape, 3), np.float32)
     depth = np.exp(log_depth).astype(np.float32)
     frame = jaxblur.Frame(*map(jnp.asarray, (color, depth, np.float32(velocity))))
-    pure = purest_motion(frame, 160, jnp.float32(20), jnp.float32(coverage), "auto")
+    pure = motion_of(frame, jnp.float32(20), jnp.float32(coverage), jaxblur.Settings(radius=160))
     np.testing.assert_allclose(pure[..., 2], log_depth, atol=1e-6)
     return np.moveaxis(np.asarray(pure[..., :2]), -1, 0)
 

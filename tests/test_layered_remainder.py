@@ -1,4 +1,4 @@
-"""The experiment that asks what holds the rest: its hooks into `layered` change nothing else."""
+"""The experiment on the remaining error: hidden colors change nothing else."""
 
 import importlib
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur import gathers
-from jaxblur.native import build
+from jaxblur.kernels import gathers
+from jaxblur.kernels.cpp import build
 from jaxblur.settings import Backend
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")

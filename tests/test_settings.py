@@ -1,9 +1,11 @@
+import sys
 from typing import Any
 
 import pytest
 
 import jaxblur
 from jaxblur.filters import FILTERS, filter_info
+from jaxblur.frame import check_frame
 from tests.helpers import random_frame
 
 
@@ -39,16 +41,24 @@ def test_mcguire_refuses_an_even_number_of_samples():
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_equal_settings_trace_once(name):
+def test_equal_settings_trace_once(name, monkeypatch):
     info = filter_info(name)
     parameters, settings = info.make_parameters(), info.settings
     frame = random_frame((5, 6))
-    blur: Any = info.call
+    blur = info.call
+    traces: list[int] = []
+
+    def traced(*arguments: Any) -> Any:
+        traces.append(1)
+        return check_frame(*arguments)
+
+    monkeypatch.setattr(sys.modules[blur.__module__], "check_frame", traced)
     blur(frame, parameters, settings=settings)
-    count = blur._cache_size()
+    assert traces
+    count = len(traces)
     fields = {field: getattr(settings, field) for field in settings.__dataclass_fields__}
     blur(frame, parameters, settings=info.kind(**fields))
-    assert blur._cache_size() == count
+    assert len(traces) == count
 
 
 def test_published_parameters_of_guertin():

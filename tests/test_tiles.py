@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur.tiles import clamp_speed, reachable_tiles, sample_tiles, stochastic_tile
+from jaxblur.filters.tiles import chances_of_tiles, chosen_tile, drawn_tile, read_between_tiles
+from jaxblur.kernels import At, Image
+from jaxblur.safe_math import clamp_speed
 from tests.helpers import SHAPES, check_gradients, random_frame
 from tests.reference import plain_loops
 
@@ -67,8 +69,32 @@ def test_still_tiles_count_as_aligned():
     np.testing.assert_allclose(jaxblur.tile_variance(tiles)[0], [1 / 2, 1 / 3, 0], atol=1e-6)
 
 
+def places(shape):
+    return At(*(jnp.asarray(place) for place in np.indices(shape)))
+
+
+def grid_of(shape, radius):
+    """An image of tiles; only its size counts."""
+    return Image(jnp.zeros((-(-shape[0] // radius), -(-shape[1] // radius))))
+
+
+def reachable_tiles(shape, radius, tau):
+    """Flat indices of tiles that the jitter may reach, and their probabilities."""
+    at, tiles = places(shape), grid_of(shape, radius)
+    found = [chosen_tile(at, jnp.float32(k), radius, tiles) for k in range(3)]
+    index = jnp.stack([row * tiles.width + column for row, column in found])
+    return index, jnp.stack(chances_of_tiles(at, tau, radius, tiles))
+
+
+def stochastic_tile(xi, tau, radius):
+    tiles = grid_of(xi.shape[:2], radius)
+    noise = xi[..., 0], xi[..., 1]
+    row, column = drawn_tile(places(xi.shape[:2]), noise, tau, radius, tiles)
+    return row * tiles.width + column
+
+
 def test_bilinear_lookup_meets_tile_centers_and_stays_constant_outside():
-    values = sample_tiles(jnp.asarray([[0.0, 1.0]]), 4, 3, 8)
+    (values,) = read_between_tiles(places((3, 8)), Image(jnp.asarray([[0.0, 1.0]])), 4)
     expected = np.clip((np.arange(8) + 0.5 - 2) / 4, 0, 1)
     np.testing.assert_allclose(values, np.tile(expected, (3, 1)), atol=1e-6)
 
@@ -79,7 +105,7 @@ def test_tile_lookup_equals_plain_loops(shape, tau):
     (height, width), radius, generator = shape, 5, np.random.default_rng(3)
     rows, columns = -(-height // radius), -(-width // radius)
     xi = generator.uniform(-0.5, 0.5, (*shape, 2)).astype(np.float32)
-    drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))[..., 0]
+    drawn = np.asarray(stochastic_tile(jnp.asarray(xi), jnp.float32(tau), radius))
     index, chance = reachable_tiles((height, width), radius, jnp.float32(tau))
     grid = (tau, radius, rows, columns)
     for row, column in np.ndindex(*shape):
@@ -97,7 +123,7 @@ def test_tile_lookup_equals_plain_loops(shape, tau):
 def test_drawn_tiles_have_the_stated_probabilities():
     shape, radius, tau, draws = (12, 12), 6, 0.8, 4000
     xi = np.random.default_rng(4).uniform(-0.5, 0.5, (draws, *shape, 2)).astype(np.float32)
-    draw = jax.vmap(lambda x: stochastic_tile(x, jnp.float32(tau), radius)[..., 0])
+    draw = jax.vmap(lambda x: stochastic_tile(x, jnp.float32(tau), radius))
     drawn = draw(jnp.asarray(xi))
     index, chance = reachable_tiles(shape, radius, jnp.float32(tau))
     for tile in range(4):

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur import weights
+from jaxblur.filters import _weights as weights
 from tests.helpers import check_gradients
 from tests.reference import plain_loops
 

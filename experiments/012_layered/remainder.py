@@ -24,25 +24,21 @@ splits the squared error by region of the picture. Each region excludes those be
 
 import argparse
 import dataclasses
-import functools
-import importlib
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxblur.sampling import read_nearest, read_position
 from scipy import ndimage
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics, scenes
 from jaxblur.filters import filter_info
+from jaxblur.filters.layered import layered_with_hidden
 
 SCENES = (
     *("cube_between_crates", "cubes_on_teapot", "flagpole"),
@@ -54,9 +50,6 @@ info = filter_info("layered")
 PARAMETERS, SETTINGS = info.make_parameters(), info.settings
 XLA = dataclasses.replace(SETTINGS, backend="xla")
 MISSING, JUMP = 0.1, 0.05
-
-layered_module = importlib.import_module("jaxblur.filters.layered")
-Slice = Callable[..., tuple[Any, ...]]
 
 
 class Known(NamedTuple):
@@ -78,38 +71,7 @@ def known(scene: scenes.Scene) -> Known:
     return Known(times, np.stack(images))
 
 
-@contextmanager
-def slices_with(complete: Callable[..., tuple[Any, ...]]) -> Iterator[None]:
-    """Replace the color of slices where no guess lands.
-
-    Args:
-        complete: maps (number of slices, index of the slice, color planes of guesses that landed,
-            share without such a guess, color planes and weight of the filter) to the terms of a
-            slice.
-    """
-    whole_slice, visible = layered_module._slice, layered_module._visible
-    noted: list[jax.Array] = []
-
-    def landed_only(*arguments):
-        shares, empty = visible(*arguments)
-        noted.append(empty)
-        return shares, jnp.zeros_like(empty)
-
-    def completed(*arguments):
-        with mock.patch.object(layered_module, "_visible", visible):
-            usual = whole_slice(*arguments)
-        *colors, _ = whole_slice(*arguments)
-        count, index = arguments[2:4]
-        return complete(count, index, colors, noted.pop(), usual)
-
-    with (
-        mock.patch.object(layered_module, "_visible", landed_only),
-        mock.patch.object(layered_module, "_slice", completed),
-    ):
-        yield
-
-
-def told(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
+def told(stack: np.ndarray | jax.Array, frame: jaxblur.Frame, samples: int) -> jax.Array:
     """Run the filter; where no guess lands, take the color from a stack of sharp images.
 
     Args:
@@ -121,40 +83,20 @@ def told(stack: np.ndarray, frame: jaxblur.Frame, samples: int) -> jax.Array:
     Returns:
         (H, W, 3) linear light.
     """
-    table = jnp.asarray(stack.reshape(-1))
-    height, width = stack.shape[1:3]
-    still = jnp.zeros((height, width, 1))
-
-    def complete(count, index, colors, empty, usual):
-        moment = index * TIMES // count
-        here = read_position(still, still, (height, width), "clamp").index
-        at = (moment * (height * width) + here) * len(colors)
-        true = [read_nearest(table, at + channel) for channel in range(len(colors))]
-        is_told = jnp.isfinite(true[0])
-        mixed = [color + empty * other for color, other in zip(colors, true, strict=True)]
-        terms = zip((*mixed, jnp.ones_like(empty)), usual, strict=True)
-        return tuple(jnp.where(is_told, term, other) for term, other in terms)
-
-    with slices_with(complete):
-        return run(frame, samples)
+    settings = dataclasses.replace(XLA, samples=samples)
+    return layered_with_hidden(frame, PARAMETERS, stack, settings=settings)
 
 
 def missing(frame: jaxblur.Frame) -> np.ndarray:
     """Share of the exposure for which no guess lands, (H, W)."""
-
-    def complete(count, index, colors, empty, usual):
-        return (*(empty for _ in colors), jnp.ones_like(empty))
-
-    black = dataclasses.replace(frame, color=jnp.zeros_like(jnp.asarray(frame.color)))
-    with slices_with(complete):
-        return np.asarray(run(black, SETTINGS.samples))[..., 0]
+    color = jnp.asarray(frame.color)
+    black = dataclasses.replace(frame, color=jnp.zeros_like(color))
+    return np.asarray(told(jnp.ones((1, *color.shape)), black, SETTINGS.samples))[..., 0]
 
 
 def run(frame: jaxblur.Frame, samples: int) -> jax.Array:
-    """Run the filter, traced anew because parts of it may have been replaced."""
-    settings = dataclasses.replace(XLA, samples=samples)
-    function = functools.partial(layered_module.layered.__wrapped__, settings=settings)
-    return jax.jit(lambda frame: function(frame, PARAMETERS))(frame)
+    """Run the filter."""
+    return jaxblur.layered(frame, PARAMETERS, settings=dataclasses.replace(XLA, samples=samples))
 
 
 def points_in_frame(scene: scenes.Scene, frame: jaxblur.Frame, truth: Known) -> np.ndarray:

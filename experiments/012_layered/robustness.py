@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxblur.filters.reaching import fine_tile
 
 import jaxblur
 from experiments import common
 from jaxblur import metrics
 from jaxblur.filters import FILTERS, filter_info
+from jaxblur.filters.layered import fine_tile
 from jaxblur.fitting.objective import draw_noise
 
 SCENES = ("cube_between_crates", "gears", "rotation_stress", "flagpole", "camera_dolly", "crossing")

@@ -1,4 +1,8 @@
 """The layered filter: motion blur by slices of time."""
 
 from .reaching import fine_tile as fine_tile
-from .slices import LayeredParameters as LayeredParameters, layered as layered
+from .slices import (
+    LayeredParameters as LayeredParameters,
+    layered as layered,
+    layered_with_hidden as layered_with_hidden,
+)

@@ -40,23 +40,6 @@ _INSET = 0.25
 """Pixels by which a line is narrower than a tile, so that mirrored frames round alike."""
 
 
-def fine_tile(radius: int) -> int:
-    """Side of the fine tiles: the divisor of the radius nearest to 8 pixels, else 8.
-
-    A divisor, so that what holds for frames whose sides are multiples of the radius holds here.
-
-    Args:
-        radius: longest half-spread in pixels.
-
-    Returns:
-        Pixels.
-    """
-    if radius <= USUAL_TILE:
-        return radius
-    sizes = [size for size in range(5, 13) if radius % size == 0]
-    return min(sizes, key=lambda size: abs(size - USUAL_TILE), default=USUAL_TILE)
-
-
 class MotionImage(NamedTuple):
     """The motion of every pixel, (H, W, 4), see `.silhouettes.Motion`."""
 
@@ -96,7 +79,7 @@ class Lines(NamedTuple):
 
 
 def compare_pixels(at: At, images: MotionImage, _: None, radius: int) -> Outcome:
-    """Pass 2, the keys of a tile's maxima: squared speed, so that clamped vectors tie, and depth."""
+    """Pass 2, the keys of a tile's maxima: squared speed (clamped vectors tie), and depth."""
     x, y, depth, _taken = images.motion.here()
     return Outcome((_at_most(radius**2, jnp.square(x) + jnp.square(y)), depth))
 

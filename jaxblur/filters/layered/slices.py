@@ -18,6 +18,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from ...frame import Frame, check_frame, check_parameters
@@ -52,6 +54,8 @@ class Images(NamedTuple):
             y of each; 0 for none.
         noise: (H, W, 1) in [-1, 1).
         path: (H, W, 4) displacement at opening and closing, or None.
+        hidden: (T H, W, C) T images below one another, colors of surfaces that the frame does not
+            show, at times spread evenly over the exposure; NaN where unknown. Or None.
     """
 
     color: Image
@@ -59,6 +63,7 @@ class Images(NamedTuple):
     others: Image
     noise: Image
     path: Image | None
+    hidden: Image | None
 
 
 class Way(NamedTuple):
@@ -169,18 +174,25 @@ def blur_pixel(
             for time, way, mixes in zip(times, ways, interpolates, strict=True)
         ]
         shares, empty = visible_shares(guesses, [way.own for way in ways], front)
+        landed = list(shares)
         # Where nothing has landed: the guess along the own velocity, if it lies behind.
         own = guesses[0]
         behind = jnp.clip(front * (own.depth - pixel.log_depth), 0, 1)
         shares[0] = shares[0] + empty * jnp.where(own.texel.counts, behind, 0)
         if limit is not None:
             shares = [jnp.where(i < count, share, 0) for share in shares]
-        colors = zip(*(guess.color for guess in guesses), strict=True)
-        mixed = [
-            _sum([share * color for share, color in zip(shares, channel, strict=True)])
-            for channel in colors
+        mixed, weight = mix(shares, guesses), _sum(shares)
+        if images.hidden is None:
+            return Sums(tuple(mixed), weight)
+        times_known = lax.div(images.hidden.height, images.color.height)
+        first_row = lax.div(i * times_known, jnp.int32(slices.samples)) * images.color.height
+        hidden = images.hidden.read(first_row + at.row, at.column)
+        given = [
+            color + empty * other for color, other in zip(mix(landed, guesses), hidden, strict=True)
         ]
-        return Sums(tuple(mixed), _sum(shares))
+        known = hidden[0] == hidden[0]
+        chosen = [jnp.where(known, *pair) for pair in zip(given, mixed, strict=True)]
+        return Sums(tuple(chosen), jnp.where(known, 1, weight))
 
     sums = sum_over(slices.samples, slice_of_time, limit)
     blurs = moving & (sums.weight > SMALLEST_WEIGHT)
@@ -261,6 +273,14 @@ def visible_shares(
     return [share * filled for share in shares], empty
 
 
+def mix(shares: Sequence[Array], guesses: Sequence[Guess]) -> list[Array]:
+    """The colors of the guesses, mixed by their shares."""
+    return [
+        _sum([share * color for share, color in zip(shares, channel, strict=True)])
+        for channel in zip(*(guess.color for guess in guesses), strict=True)
+    ]
+
+
 def _sum(terms: Sequence[Array]) -> Array:
     return functools.reduce(jnp.add, terms)
 
@@ -313,6 +333,7 @@ def _blur(
     frame: Frame,
     parameters: LayeredParameters,
     noise: Noise | None,
+    hidden: jax.Array | None,
     _: Array,
 ) -> jax.Array:
     """The image."""
@@ -330,6 +351,7 @@ def _blur(
         others=Image(_reaching_velocities(motion, settings)),
         noise=Image(noise.tap.astype(frame.color.dtype)),
         path=None if frame.path is None else Image(frame.path.reshape(height, width, 4)),
+        hidden=None if hidden is None else Image(hidden.reshape(-1, *hidden.shape[2:])),
     )
     return each_pixel(
         *(blur_pixel, (height, width), images, parameters, settings),
@@ -346,7 +368,11 @@ def _keep(frame: Frame, *others: Array) -> jax.Array:
 @functools.partial(jax.jit, static_argnames=("settings",))
 @honoring_mask
 def _layered(
-    frame: Frame, parameters: LayeredParameters, noise: Noise | None, settings: Settings
+    frame: Frame,
+    parameters: LayeredParameters,
+    noise: Noise | None,
+    hidden: jax.Array | None,
+    settings: Settings,
 ) -> jax.Array:
     check_parameters(parameters, LayeredParameters)
     frame = check_frame(frame)
@@ -355,7 +381,7 @@ def _layered(
     anything = anything_moves(vectors)
     return cond_of_values(
         *(anything, functools.partial(_blur, settings), _keep),
-        (frame, parameters, noise, anything),
+        (frame, parameters, noise, hidden, anything),
     )
 
 
@@ -389,6 +415,42 @@ def layered(
         ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
             scalar, or the settings are those of another filter.
     """
+    return layered_with_hidden(frame, parameters, None, settings=settings, noise=noise)
+
+
+def layered_with_hidden(
+    frame: Frame,
+    parameters: LayeredParameters,
+    hidden: ArrayLike | None,
+    *,
+    settings: Settings = Settings(radius=160, fetch="bilinear"),
+    noise: Noise | None = None,
+) -> jax.Array:
+    """`layered`, given the colors of surfaces that the frame does not show.
+
+    A hook for experiments: how much of the error is due to hidden background.
+
+    Args:
+        frame: as `layered`, without a mask.
+        parameters: as `layered`.
+        hidden: (T, H, W, C) color of the visible surface at T times spread evenly over the
+            exposure, used where no guess lands; NaN where unknown. None for `layered` itself.
+        settings: as `layered`; no spacing.
+        noise: as `layered`.
+
+    Returns:
+        As `layered`.
+
+    Raises:
+        ValueError: as `layered`, or the hidden colors have another shape, or there is a spacing or
+            a mask beside them.
+    """
     settings = checked_settings(settings, Settings, "layered")
     needs_a_slice(settings)
-    return _layered(frame, parameters, noise, settings=settings)
+    if hidden is not None:
+        hidden, expected = jnp.asarray(hidden), jnp.shape(frame.color)
+        if hidden.ndim != 4 or hidden.shape[1:] != expected:
+            raise ValueError(f"`hidden` must have shape (T, *{expected}), got {hidden.shape}.")
+        if settings.spacing or frame.valid is not None:
+            raise ValueError("`hidden` works without `settings.spacing` and `frame.valid` only.")
+    return _layered(frame, parameters, noise, hidden, settings=settings)

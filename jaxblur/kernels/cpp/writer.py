@@ -1,4 +1,4 @@
-"""The C++ form of a jaxpr of scalars: elementwise operations, reads of tables, additions to them."""
+"""The C++ form of a jaxpr of scalars: elementwise operations, and reads of tables."""
 
 import dataclasses
 import functools
