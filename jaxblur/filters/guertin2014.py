@@ -4,7 +4,7 @@ The passes are numbered as in this folder's README; beside them lie chapter 3 an
 """
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -361,7 +361,7 @@ def _blur(
     return lax.map(of_choice, jnp.arange(3, dtype=frame.color.dtype))
 
 
-def _keep(count: int, frame: Frame, *others: Array) -> jax.Array:
+def _keep(count: int, frame: Frame, *others: Any) -> jax.Array:
     """The same where nothing moves."""
     color = unchanged(frame.color, others[-1])
     return jnp.broadcast_to(color, (count, *color.shape))

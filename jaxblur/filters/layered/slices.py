@@ -14,7 +14,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -360,7 +360,7 @@ def _blur(
     )
 
 
-def _keep(frame: Frame, *others: Array) -> jax.Array:
+def _keep(frame: Frame, *others: Any) -> jax.Array:
     """The same where nothing moves."""
     return unchanged(frame.color, others[-1])
 
