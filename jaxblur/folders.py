@@ -1,11 +1,11 @@
-"""Where jaxblur keeps what it can make again."""
+"""Folders for files that jaxblur can generate again."""
 
 import os
 import pathlib
 
 
 def cache_folder() -> pathlib.Path:
-    """Name the folder for compiled code: ``$XDG_CACHE_HOME/jaxblur`` or ``~/.cache/jaxblur``.
+    """Return the folder for compiled code: ``$XDG_CACHE_HOME/jaxblur`` or ``~/.cache/jaxblur``.
 
     Raises:
         RuntimeError: there is no home folder.

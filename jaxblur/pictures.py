@@ -1,7 +1,7 @@
-"""Pictures to look at: 8-bit PNG, error images, contact sheets.
+"""Pictures for viewing: 8-bit PNG, error images, contact sheets.
 
-Every image here is linear light like all others in this package; the sRGB curve is applied once,
-when a file is written.
+Images here are linear light, as in the whole package; the sRGB curve is applied once, when a file
+is written.
 """
 
 import os
@@ -23,9 +23,9 @@ def write_png(path: str | os.PathLike[str], image: Image, exposure: float = 0.0)
 
     Args:
         path: a file ending in .png.
-        image: (H, W, C) linear light; of more than three channels the first three are written,
-            which for premultiplied RGBA is the image over black.
-        exposure: photographic stops; the light is multiplied by 2^exposure first.
+        image: (H, W, C) linear light; if there are more than three channels, the first three are
+            written, which for premultiplied RGBA is the image over black.
+        exposure: photographic stops; the light is first multiplied by 2^exposure.
 
     Raises:
         ValueError: the name does not end in .png, or the channels are neither 1 nor at least 3.
@@ -39,7 +39,7 @@ def write_png(path: str | os.PathLike[str], image: Image, exposure: float = 0.0)
 def error_image(
     image: Image, truth: Image, gain: float = 4.0
 ) -> Float[np.ndarray, "height width 3"]:
-    """The absolute error as seen on a display: gain * |display(image) - display(truth)|.
+    """Compute the absolute error on a display: gain * |display(image) - display(truth)|.
 
     Args:
         image: (H, W, C) linear light.
@@ -47,14 +47,14 @@ def error_image(
         gain: factor on the error in display values.
 
     Returns:
-        (H, W, 3) linear light whose sRGB encoding is the error, clipped to [0, 1].
+        (H, W, 3) linear light; its sRGB encoding is the error, clipped to [0, 1].
     """
     error = np.abs(np.asarray(metrics.display(image)) - np.asarray(metrics.display(truth)))
     return srgb.decode(np.clip(gain * error, 0.0, 1.0))
 
 
 def contact_sheet(rows: Sequence[Sequence[Image]]) -> Float[np.ndarray, "rows columns 3"]:
-    """Lay images of one size out in rows, with thin gray lines between them.
+    """Arrange images of one size in rows, with thin gray lines between them.
 
     Args:
         rows: images from left to right, rows from top to bottom; short rows are filled with gray.

@@ -1,14 +1,15 @@
-"""Velocity of the sky from the turn of the camera, for files that have none there.
+"""Estimate the sky's velocity from the camera's rotation, for files without vectors there.
 
-Blender writes zero vectors for the sky even when the camera turns, so that clouds stay sharp in a
-pan. How the camera moves can be told from the surfaces: what a camera that turns and travels gives
-the pixel at (x, y) and depth z is linear in eight unknowns [Longuet-Higgins and Prazdny 1980],
+Blender writes zero vectors for the sky even when the camera rotates, so that clouds stay sharp in a
+pan. The motion of the camera can be estimated from the surfaces: the velocity that a rotating and
+translating camera gives the pixel at (x, y) with depth z is linear in eight unknowns
+[Longuet-Higgins and Prazdny 1980],
 
     u = a + c y + d x^2 + e x y + (t_x + t_z x) / z
     v = b - c x + d x y + e y^2 + (t_y + t_z y) / z
 
-and the sky, at infinity, has the first five alone. They are fitted to the farthest surfaces first,
-then to all of them; what moves on its own counts little.
+and the velocity of the sky, at infinity, depends only on the first five. They are fitted to the
+farthest surfaces first, then to all surfaces; surfaces that move on their own get a small weight.
 """
 
 import dataclasses
@@ -21,26 +22,27 @@ from .frame import Frame, check_frame
 
 UNKNOWNS, TURN = 8, 5
 STEP = 3
-"""Every third pixel of every third row is looked at."""
+"""Stride in rows and columns of the pixels that are used."""
 FAR = 0.3
-"""Share of the surfaces, the farthest, by which the turn is found and judged."""
+"""Share of the surfaces, the farthest ones, from which the rotation is found and judged."""
 ROUNDS, FAR_ROUNDS = 20, 6
 STRAY = 0.25
-"""Pixels from which on a surface counts as moving on its own."""
+"""Deviation in pixels at which a surface counts as moving on its own."""
 AGREEMENT = 0.9
-"""Share of the far surfaces that must move as the camera says. On scenes of the catalogue and on
-rendered ones it is 0.93 or more where the turn is right, and 0.36 or less where it is wrong."""
+"""Share of the far surfaces that must agree with the camera's motion. On scenes of the
+catalogue and on rendered ones it is 0.93 or more where the rotation is right, and 0.36 or less
+where it is wrong."""
 LEAST_SPEED = 0.5
-"""Pixels up to which filters do not blur."""
+"""Largest velocity in pixels that filters do not blur."""
 FEWEST = 100
 
 
 def turning_sky(frame: Frame) -> Frame:
-    """Give the sky the velocity of the camera's turn, where its vectors are zero.
+    """Give the sky the velocity of the camera's rotation, where its vectors are zero.
 
-    The frame is returned as it is where nothing is to be done or nothing can be told: the sky has
-    vectors of its own, or there is none; the camera does not turn by half a pixel; or less than
-    nine in ten of the far surfaces move as one rigid world. Runs in NumPy; not differentiable.
+    The frame is returned unchanged if there is no sky or the sky has its own vectors, if the
+    camera's rotation moves the sky by at most half a pixel, or if less than nine in ten of the far
+    surfaces move as one rigid world. Runs in NumPy; not differentiable.
 
     Args:
         frame: depth (H, W), ``+inf`` for sky; velocity (H, W, 2) half-spread in pixels.
@@ -61,7 +63,7 @@ def turning_sky(frame: Frame) -> Frame:
     seen &= ~sky
     if empty.sum() < AGREEMENT * sky.sum() or not empty.any() or seen.sum() < FEWEST:
         return frame
-    # In units of a usual depth, so that the unknowns have similar scales.
+    # In units of the median depth, so that the unknowns have similar scales.
     inverse = np.where(sky, 0, np.median(depth[seen]) / np.where(sky, 1, depth))
     basis = _motion_field(inverse)
     far = depth[seen] >= np.quantile(depth[seen], 1 - FAR)
@@ -76,7 +78,7 @@ def turning_sky(frame: Frame) -> Frame:
 def _motion_field(
     inverse_depth: Float[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width 2 8"]:
-    """What each unknown gives the pixels; positions in half widths from the middle."""
+    """Compute the velocity that each unknown gives the pixels; positions in half widths."""
     height, width = inverse_depth.shape
     row, column = np.mgrid[:height, :width] + 0.5
     x, y = 2 * column / width - 1, (2 * row - height) / width
@@ -91,9 +93,9 @@ def _fit(
     velocity: Float[np.ndarray, "n 2"],
     far: Bool[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, " 8"], float]:
-    """The unknowns, and the share of the far surfaces that agree with them."""
+    """Fit the unknowns; return them and the share of the far surfaces that agree with them."""
     weights, unknowns, stray = far.astype(float), np.zeros(UNKNOWNS), np.zeros(len(far))
-    # Where all depths are alike, turn and travel are one: the least unknowns are taken.
+    # If all depths are equal, rotation and translation look the same: take the smallest unknowns.
     ridge = 1e-6 * len(basis) * np.eye(UNKNOWNS)
     for turn in range(ROUNDS):
         scaled = basis * weights[:, None, None]
@@ -109,7 +111,7 @@ def _moved(
     velocity: Float[np.ndarray, "height width 2"],
     where: Bool[np.ndarray, "height width"],
 ) -> Frame:
-    """The frame with other velocities, and with straight paths where they changed."""
+    """Return the frame with other velocities, and with straight paths where they changed."""
     path = frame.path
     if path is not None:
         straight = np.stack([-velocity, velocity], axis=2)

@@ -1,16 +1,17 @@
-"""Text that came from a file: nothing in it can steer a terminal."""
+"""Escape text from files, so that it cannot control a terminal."""
 
 from typing import Any
 
 
 def printable(text: Any) -> str:
-    r"""Escape control characters, so that names from files cannot move the cursor or recolor.
+    r"""Escape control characters, so that names from files cannot move the cursor or change colors.
 
     Args:
-        text: anything that has a text.
+        text: any value; ``str`` converts it.
 
     Returns:
-        The text on one line; what is not printable stands as its Python escape.
+        The text on one line; characters that are not printable are replaced by their Python
+        escapes.
 
     Example:
         >>> printable("a" + chr(27) + "[31m")
@@ -20,7 +21,7 @@ def printable(text: Any) -> str:
 
 
 def one_line(text: str) -> str:
-    """Join lines, then escape as `printable` does."""
+    """Join lines, then escape with `printable`."""
     return printable(" ".join(text.split()))
 
 

@@ -1,7 +1,7 @@
-"""Velocities in two 8-bit integers, as game engines keep them.
+"""Velocities in two 8-bit integers, as game engines store them.
 
-The length of the half-spread is clamped to the radius, so that directions survive; clamping x and
-y apart turns every fast velocity to one of four diagonals.
+The length of the half-spread is clamped to the radius, which keeps its direction; clamping x and y
+separately would turn every fast velocity to one of four diagonals.
 """
 
 import jax
@@ -12,16 +12,16 @@ from jaxtyping import Array, Float, UInt8
 from .safe_math import clamp_speed
 
 LEVELS, REST = 127, 128
-"""Steps to either side of rest, and the integer that stands for it: zero is decoded exactly, which
-``v / 2r + 0.5`` in [0, 1] does not allow."""
+"""Number of steps on either side of rest, and the integer for rest. Zero is decoded
+exactly, which ``v / 2r + 0.5`` in [0, 1] does not allow."""
 
 
 def encode_velocity(velocity: ArrayLike, radius: int) -> UInt8[Array, "height width 2"]:
     """Encode half-spreads radially, ``round(127 min(|v|, r) / r * v / |v|) + 128``.
 
-    Source: Guertin et al. 2014, section 3.5, with two departures: rest is an integer, and the
-    floor of half a pixel is left to the formulas of the filters, so that what rests stays at rest.
-    There is no derivative through the rounding.
+    Source: Guertin et al. 2014, section 3.5, with two departures: rest is an integer, and the floor
+    of half a pixel is left to the filters, so that points at rest stay at rest. The rounding has no
+    derivative.
 
     Args:
         velocity: (H, W, 2) half-spread in pixels, x right, y down.
@@ -45,11 +45,11 @@ def encode_velocity(velocity: ArrayLike, radius: int) -> UInt8[Array, "height wi
 
 
 def decode_velocity(encoded: ArrayLike, radius: int) -> Float[Array, "height width 2"]:
-    """Decode what `encode_velocity` gives, ``r (i - 128) / 127``.
+    """Decode the integers from `encode_velocity`, ``r (i - 128) / 127``.
 
     Args:
         encoded: (H, W, 2) unsigned 8-bit integers.
-        radius: the radius that it was encoded with, pixels.
+        radius: the radius used for encoding, pixels.
 
     Returns:
         (H, W, 2) half-spread in pixels; each component within radius/254 of the clamped one.

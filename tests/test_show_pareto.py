@@ -10,31 +10,31 @@ from matplotlib.colors import to_rgba
 from jaxblur import show
 from jaxblur.show import Measurement
 
-QUICK = Measurement("quick", 1.0, 0.4, "a")
+FAST = Measurement("fast", 1.0, 0.4, "a")
 BETTER = Measurement("better", 2.0, 0.2, "a", published=True)
 BEATEN = Measurement("beaten $x", 2.5, 0.3, "b", error_range=(0.2, 0.4))
 BEST = Measurement("best", 4.0, 0.1, "b", time_range=(3.0, 5.0))
-POINTS = (BEST, QUICK, BEATEN, BETTER)
+POINTS = (BEST, FAST, BEATEN, BETTER)
 
 
-def test_the_front_keeps_what_nothing_beats():
-    assert show.pareto_front(POINTS) == [QUICK, BETTER, BEST]
+def test_the_front_holds_the_points_that_nothing_beats():
+    assert show.pareto_front(POINTS) == [FAST, BETTER, BEST]
 
 
 def test_ties_do_not_stay_on_the_front():
     slower = Measurement("slower", 2.0, 0.4)
     worse = Measurement("worse", 1.0, 0.5)
     twin = Measurement("twin", 1.0, 0.4)
-    assert show.pareto_front([slower, worse, QUICK, twin]) == [QUICK]
+    assert show.pareto_front([slower, worse, FAST, twin]) == [FAST]
 
 
 def drawn(**options):
-    # Typed as anything: matplotlib declares its artists' arrays as every sequence there is.
+    # Typed as Any, because matplotlib declares its artists' arrays as any kind of sequence.
     axes: Any = show.pareto(POINTS, **options).axes[0]
     return axes, [text.get_text() for text in axes.texts]
 
 
-def test_points_lie_where_they_were_measured_on_logarithmic_axes():
+def test_points_lie_at_their_measurements_on_logarithmic_axes():
     axes, _ = drawn()
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     places = {tuple(place) for group in axes.collections for place in group.get_offsets().tolist()}
@@ -65,15 +65,15 @@ def test_published_settings_are_stars_and_groups_have_colors():
     ("labels", "shown"),
     [
         ("none", set()),
-        ("front", {"quick", "better", "best"}),
-        ("all", {"quick", "better", "best", "beaten $x"}),
+        ("front", {"fast", "better", "best"}),
+        ("all", {"fast", "better", "best", "beaten $x"}),
     ],
 )
 def test_labels_are_those_that_were_asked_for(labels, shown):
     assert set(drawn(labels=labels)[1]) == shown
 
 
-def test_a_label_is_no_formula(tmp_path):
+def test_a_label_is_not_a_formula(tmp_path):
     figure = show.pareto([Measurement("$\\unknown{", 1.0, 1.0)])
     figure.savefig(tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 5000
@@ -93,7 +93,7 @@ def test_the_picture_is_the_same_every_time(tmp_path):
         ((), {}, "at least one"),
         ((Measurement("p", 0.0, 1.0),), {}, "finite time above 0.*'p'"),
         ((Measurement("p", 1.0, float("nan")),), {}, "finite error above 0"),
-        ((QUICK,), {"labels": "some"}, "`labels` must be"),
+        ((FAST,), {"labels": "some"}, "`labels` must be"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(points, options, message):

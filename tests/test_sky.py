@@ -1,4 +1,4 @@
-"""The sky's velocity from the camera's turn: found where it can be told, else left alone."""
+"""The sky's velocity from the camera's rotation: found if the surfaces show it, else unchanged."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ SKY = np.broadcast_to(np.arange(60)[:, None] < 18, SIZE)
 
 
 def moved(depth, turn, travel):
-    """Where points seen by a camera are in its picture after it has turned and traveled."""
+    """Project points seen by a camera after it has rotated and moved."""
     row, column = np.mgrid[: SIZE[0], : SIZE[1]] + 0.5
     ray = np.stack([(column - 48) / FOCAL, (row - 30) / FOCAL, np.ones(SIZE)], axis=-1)
     points = np.where(np.isinf(depth), 1e9, depth)[..., None] * ray - travel
@@ -27,7 +27,7 @@ def moved(depth, turn, travel):
 
 
 def world(turn=(0.01, 0.06, 0.02), travel=(0.1, 0.0, 0.2)):
-    """A floor, blocks and sky as a camera in motion sees them, and the true velocities."""
+    """Make a frame of floor, blocks and sky for a moving camera, and the true velocities."""
     depth = np.broadcast_to(200 / (np.arange(60)[:, None] - 10.0).clip(1), SIZE).copy()
     depth[25:45, 10:20], depth[20:50, 60:75] = 6.0, 9.0
     depth[SKY] = np.inf
@@ -49,7 +49,7 @@ def test_a_turn_is_found_to_a_fraction_of_a_pixel():
     np.testing.assert_array_equal(turned.velocity[~SKY], frame.velocity[~SKY])
 
 
-def test_where_there_are_paths_those_of_the_sky_are_straight():
+def test_paths_of_the_sky_are_straight():
     frame, _ = world()
     path = jnp.stack([-1.5 * frame.velocity, frame.velocity], axis=2)
     turned = jaxblur.turning_sky(dataclasses.replace(frame, path=path))
@@ -59,7 +59,7 @@ def test_where_there_are_paths_those_of_the_sky_are_straight():
     np.testing.assert_array_equal(turned.path[SKY][:, 0], -turned.velocity[SKY])
 
 
-def test_objects_that_move_on_their_own_do_not_mislead():
+def test_objects_that_move_on_their_own_do_not_disturb_the_fit():
     frame, true = world()
     velocity = frame.velocity.at[25:45, 10:20].add(jnp.array([7.0, -5.0]))
     velocity = velocity.at[40:60, 50:90].add(jnp.array([-9.0, 0.0]))
@@ -73,7 +73,7 @@ def test_a_camera_that_only_travels_leaves_the_sky_at_rest():
     assert jaxblur.turning_sky(frame) is frame
 
 
-def test_without_a_rigid_world_behind_nothing_is_guessed():
+def test_without_a_rigid_background_nothing_changes():
     frame, _ = world()
     random = np.random.default_rng(0).normal(size=(*SIZE, 2)) * 5
     velocity = jnp.asarray(np.where(SKY[..., None], 0, random), jnp.float32)
@@ -81,7 +81,7 @@ def test_without_a_rigid_world_behind_nothing_is_guessed():
     assert jaxblur.turning_sky(astray) is astray
 
 
-def test_vectors_that_a_file_has_are_kept():
+def test_existing_vectors_of_the_sky_are_kept():
     frame, true = world()
     whole = frame_of(frame.depth, true)
     assert jaxblur.turning_sky(whole) is whole
@@ -99,7 +99,7 @@ def test_buffers_of_different_sizes_are_refused():
         jaxblur.turning_sky(frame)
 
 
-def test_the_command_line_turns_the_sky_where_asked_to_and_says_so(tmp_path):
+def test_the_command_line_moves_the_sky_on_request_and_reports_it(tmp_path):
     frame, _ = world()
     channels = plain_frame(SIZE) | {"Z": np.asarray(frame.depth)}
     channels |= {
@@ -117,7 +117,7 @@ def test_the_command_line_turns_the_sky_where_asked_to_and_says_so(tmp_path):
     assert 'sky = "camera"' in inspect(out).parts[0].attributes["jaxblur:settings"]
 
 
-def test_the_command_line_says_that_no_turn_was_found(tmp_path):
+def test_the_command_line_reports_that_no_rotation_was_found(tmp_path):
     options = ("--sky", "camera", "--filter", "pixel_velocity")
     outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *options)
     assert outcome.status == 0 and "no turn of the camera was found" in outcome.err

@@ -39,7 +39,7 @@ def test_fast_velocities_keep_their_direction(speed):
     decoded = there_and_back(speed * direction)
     cosine = np.sum(decoded * direction, axis=-1) / np.linalg.norm(decoded, axis=-1)
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.4
-    # Clamped apart, x and y would both be 40 over most of the circle.
+    # Clamped separately, x and y would both be 40 over most of the circle.
     np.testing.assert_allclose(np.linalg.norm(decoded, axis=-1), RADIUS, atol=0.3)
 
 

@@ -1,4 +1,4 @@
-"""Write a file whole or not at all."""
+"""Write a file completely or not at all."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ from .files import JaxblurIOError, PathLike, open_input, pending_message
 try:
     import fcntl
 except ImportError:
-    # Windows: temporary files of killed processes stay.
+    # Windows: temporary files of killed processes are not removed.
     fcntl = None
 
 
@@ -24,13 +24,13 @@ PNG_END = b"IEND\xaeB`\x82"
 
 @contextlib.contextmanager
 def replacing(path: PathLike) -> Iterator[str]:
-    """Give a hidden temporary name in the same folder; put it in place if the body succeeds.
+    """Yield a hidden temporary file in the same folder; move it into place if the body succeeds.
 
     Args:
-        path: the file to be written; an older one stays as it was until the new one is whole.
+        path: the file to be written; an older one stays unchanged until the new one is complete.
 
     Yields:
-        The temporary name, with the extension of ``path``, of an empty file.
+        Path of the temporary file, which is empty and has the extension of ``path``.
 
     Raises:
         JaxblurIOError: ``path`` is a folder, or the disk refused; the temporary file is gone.
@@ -42,7 +42,7 @@ def replacing(path: PathLike) -> Iterator[str]:
     descriptor = None
     try:
         _remove_orphans(target)
-        # Created here, so that the file gets the permissions that the umask leaves.
+        # Created here, so that the permissions of the file follow the umask.
         descriptor = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         _lock(descriptor)
         yield os.fspath(temporary)
@@ -58,12 +58,12 @@ def replacing(path: PathLike) -> Iterator[str]:
 
 
 def _lock(descriptor: int) -> bool:
-    """Lock a temporary file for as long as this process lives; False if another one has it."""
+    """Lock a temporary file while this process lives; return False if another process holds it."""
     if fcntl is None:
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    # Held by a living process, or a file system without locks: then nothing is ever removed.
+    # A living process holds the lock, or the file system has no locks: then nothing is removed.
     except OSError:
         return False
     return True
@@ -110,7 +110,7 @@ def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any
     if output is None:
         raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
     for spec in specs:
-        # Without one the time of writing is stored, and no run gives the bytes of another.
+        # Without it the time of writing is stored, and the bytes differ between runs.
         if spec.getattribute("DateTime") is None:
             spec.attribute("DateTime", "")
     first = specs[0] if len(specs) == 1 else tuple(specs)
@@ -126,14 +126,14 @@ def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any
 
 
 def _check_end(path: PathLike, temporary: str) -> None:
-    """Look at what was written last: on a full disk closing may lose it and not say so."""
+    """Check the end of the file: on a full disk, closing may lose it without an error."""
     if temporary.lower().endswith(".png"):
         with open(temporary, "rb") as file:
             whole = file.read().endswith(PNG_END)
     else:
         whole = _last_row_is_there(temporary)
     if not whole:
-        raise JaxblurIOError(path, "cannot be written: its end was lost; is the disk full?")
+        raise JaxblurIOError(path, "cannot be written: its end is missing; is the disk full?")
 
 
 def _last_row_is_there(temporary: str) -> bool:
@@ -154,15 +154,15 @@ def _last_row_is_there(temporary: str) -> bool:
 
 
 def check(path: PathLike, output: Any, succeeded: bool) -> None:
-    """Turn a failure that a writer reports into an error.
+    """Raise an error if a writer reports a failure.
 
     Args:
         path: the final name, for messages.
         output: the writer.
-        succeeded: what its method returned.
+        succeeded: return value of the writer's method.
 
     Raises:
-        JaxblurIOError: it failed.
+        JaxblurIOError: the method failed.
     """
     if not succeeded:
         raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")

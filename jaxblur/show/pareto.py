@@ -1,4 +1,4 @@
-"""Speed against error: which settings are worth their time."""
+"""Plots of speed against error, to choose settings that are worth their time."""
 
 import dataclasses
 import math
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS = 72
-"""Of an inch; label sizes are in them."""
+"""Typographic points per inch; the unit of label sizes."""
 LABEL_WIDTH, LABEL_HEIGHT = 3.6, 8
-"""Of a character."""
+"""Width and height of a character in a label, points."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """How long something took and how wrong it was.
+    """The time and the error of one run.
 
     Attributes:
-        label: short text beside the point.
+        label: short text next to the point.
         time: above 0, such as milliseconds.
         error: above 0, less is better, such as FLIP.
-        group: what shares a color, such as the name of the filter.
-        published: drawn as a star: settings as their authors published them.
+        group: points of one group share a color; for example the name of the filter.
+        published: whether the settings are those of the authors; drawn as a star.
         time_range: (low, high) of the time, such as a confidence interval, or None.
         error_range: (low, high) of the error, or None.
     """
@@ -41,17 +41,17 @@ class Measurement:
 
 
 def pareto_front(points: Sequence[Measurement]) -> list[Measurement]:
-    """The points that no other point beats in time and in error.
+    """Find the Pareto front: the points that no other point beats in both time and error.
 
     Args:
-        points: in any order. Of points that agree in both the first is kept.
+        points: in any order. Of points that are equal in both, the first is kept.
 
     Returns:
-        From quick to exact: time strictly rises and error strictly falls.
+        From fast to accurate: time strictly rises and error strictly falls.
 
-    >>> slow, quick = Measurement("slow", 2.0, 0.1), Measurement("quick", 1.0, 0.2)
-    >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), quick])]
-    ['quick', 'slow']
+    >>> slow, fast = Measurement("slow", 2.0, 0.1), Measurement("fast", 1.0, 0.2)
+    >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), fast])]
+    ['fast', 'slow']
     """
     front: list[Measurement] = []
     for point in sorted(points, key=lambda point: (point.time, point.error)):
@@ -75,11 +75,10 @@ def pareto(
 
     Args:
         points: at least one.
-        time_label: of the horizontal axis.
-        error_label: of the vertical axis.
-        labels: which points carry their label: ``front`` (and the published ones, as far as they
-            do not cover one another), ``all`` or
-            ``none``.
+        time_label: label of the horizontal axis.
+        error_label: label of the vertical axis.
+        labels: the points that are labeled: ``front`` (also the published ones, unless labels
+            overlap), ``all`` or ``none``.
         axes: where to draw.
 
     Returns:
@@ -92,7 +91,7 @@ def pareto(
     _check(points, labels)
     figure, axes = figure_and_axes(axes, 7.0, 4.5)
     front = pareto_front(points)
-    # Ranges may reach 0, which has no place on a logarithmic axis.
+    # Ranges may extend to 0, which does not exist on a logarithmic axis.
     axes.set_xscale("log", nonpositive="clip")
     axes.set_yscale("log", nonpositive="clip")
     axes.plot(
@@ -137,7 +136,7 @@ def _check(points: Sequence[Measurement], labels: str) -> None:
 
 
 def _draw_group(axes: Any, points: Sequence[Measurement], group: str, number: int) -> None:
-    """One color and marker; the published ones as stars."""
+    """Draw a group in one color with one marker; published settings are stars."""
     color, marker = f"C{number % 10}", MARKERS[number % len(MARKERS)]
     plain = [point for point in points if not point.published]
     stars = [point for point in points if point.published]
@@ -159,7 +158,7 @@ def _draw_group(axes: Any, points: Sequence[Measurement], group: str, number: in
 
 
 def _legible(axes: Any, points: Sequence[Measurement]) -> list[Measurement]:
-    """Points whose labels cover no other; published ones come first, then the quickest."""
+    """Choose points whose labels do not overlap; published ones first, then the fastest."""
     chosen: list[tuple[Measurement, float, float]] = []
     for point in sorted(points, key=lambda p: (not p.published, p.time)):
         x, y = axes.transData.transform((point.time, point.error)) * POINTS / axes.figure.dpi
@@ -179,6 +178,6 @@ def _draw_label(axes: Any, point: Measurement) -> None:
         xytext=(5, 4),
         textcoords="offset points",
         fontsize="x-small",
-        # Labels come from files too: no dollar sign of theirs starts a formula.
+        # Labels may come from files: a dollar sign in them must not start a formula.
         parse_math=False,
     )
