@@ -25,13 +25,38 @@ longer for what turns by more than the straight displacement between frames show
 """
 
 import dataclasses
+from typing import TYPE_CHECKING, TypeVar
 
 import jax
+import jax.export
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+Record = TypeVar("Record", bound=type)
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+def register_record(kind: Record) -> Record:
+    """Make a dataclass of arrays a pytree that `jax.jit` takes and `jax.export` can write.
+
+    Args:
+        kind: a frozen dataclass, every field an array or a pytree of arrays.
+
+    Returns:
+        The same class, for use as a decorator.
+    """
+    jax.tree_util.register_dataclass(kind)
+    jax.export.register_pytree_node_serialization(
+        kind,
+        serialized_name=f"{kind.__module__}.{kind.__qualname__}",
+        serialize_auxdata=lambda _: b"",
+        deserialize_auxdata=lambda _: (),
+    )
+    return kind
+
+
+@register_record
+@dataclasses.dataclass(frozen=True, repr=False)
 class Frame:
     """One sharp frame: color, depth and velocity buffers, optionally curved paths and a mask.
 
@@ -52,6 +77,59 @@ class Frame:
     velocity: jax.Array
     path: jax.Array | None = None
     valid: jax.Array | None = None
+
+    if TYPE_CHECKING:
+        # NumPy arrays are taken too; filters return JAX arrays.
+        def __init__(
+            self,
+            color: ArrayLike,
+            depth: ArrayLike,
+            velocity: ArrayLike,
+            path: ArrayLike | None = None,
+            valid: ArrayLike | None = None,
+        ) -> None: ...
+
+    def replace(self, **changes: ArrayLike | None) -> "Frame":
+        """The frame with some buffers replaced.
+
+        Args:
+            **changes: buffers by name; None removes a path or a mask.
+
+        Returns:
+            A new frame.
+
+        Raises:
+            ValueError: a frame has no such buffer.
+        """
+        names = [field.name for field in dataclasses.fields(self)]
+        for name in changes:
+            if name not in names:
+                raise ValueError(f"`{name}` must be a buffer of a frame: {', '.join(names)}.")
+        return Frame(**{name: getattr(self, name) for name in names} | changes)
+
+    def __repr__(self) -> str:
+        parts = []
+        for field in dataclasses.fields(self):
+            buffer = getattr(self, field.name)
+            if buffer is not None:
+                parts.append(f"{field.name}={_in_short(buffer)}")
+        return f"Frame({', '.join(parts)})"
+
+
+def _in_short(buffer: object) -> str:
+    """Type, shape and range of a buffer; without a range while it is traced."""
+    shape = getattr(buffer, "shape", None)
+    if shape is None:
+        return repr(buffer)
+    text = f"{getattr(buffer, 'dtype', '?')}{list(shape)}"
+    if isinstance(buffer, jax.core.Tracer) or not isinstance(buffer, jax.Array | np.ndarray):
+        return text
+    values = np.asarray(buffer)
+    if not values.size:
+        return text
+    if np.isnan(values).any():
+        return f"{text} with NaN"
+    return f"{text} {values.min():.4g} to {values.max():.4g}"
 
 
 def check_frame(frame: Frame) -> Frame:

@@ -12,6 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from .frame import register_record
 from .settings import NoiseKind
 
 _HALTON_BLOCK = 64
@@ -23,7 +24,7 @@ _OUTER = round(529829189 * 2**52 / 10**15)
 """52.9829189 / 10^8 in units of 2^-52; with four more bits in the other factor, of 2^-56."""
 
 
-@jax.tree_util.register_dataclass
+@register_record
 @dataclasses.dataclass(frozen=True)
 class Noise:
     """Noise for one frame.

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..frame import Frame, check_frame, check_parameters
+from ..frame import Frame, check_frame, check_parameters, register_record
 from ..kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize, shortening
@@ -38,7 +38,7 @@ from .tiles import (
     tile_variance,
 )
 
-jax.tree_util.register_dataclass(GuertinParameters)
+register_record(GuertinParameters)
 
 PERPENDICULAR = 1e-6
 """Cosines below this count as 0: of two directions that are perpendicular but for rounding."""

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..frame import Frame, check_frame, check_parameters
+from ..frame import Frame, check_frame, check_parameters, register_record
 from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
@@ -26,7 +26,7 @@ from .builtin import needs_odd_samples
 from .parameters import McGuireParameters
 from .tiles import dominant_velocity, own_tile
 
-jax.tree_util.register_dataclass(McGuireParameters)
+register_record(McGuireParameters)
 
 
 class Motion(NamedTuple):

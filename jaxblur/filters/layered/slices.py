@@ -22,7 +22,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from ...frame import Frame, check_frame, check_parameters
+from ...frame import Frame, check_frame, check_parameters, register_record
 from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ...noise import Noise, resolve_noise
 from ...safe_math import safe_norm, shortening
@@ -36,7 +36,7 @@ from ..tiles import own_tile
 from .reaching import fine_tile, reaching_pixels
 from .silhouettes import Motion, motion_of, taken_from
 
-jax.tree_util.register_dataclass(LayeredParameters)
+register_record(LayeredParameters)
 
 SMALLEST_WEIGHT = 1e-3
 """Pixels whose slices together weigh less keep their color."""
