@@ -2,6 +2,7 @@ from . import (
     devices as devices,
     exr as exr,
     fitting as fitting,
+    kernels as kernels,
     metrics as metrics,
     scenes as scenes,
     show as show,

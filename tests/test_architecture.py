@@ -12,7 +12,6 @@ PACKAGE = Path(__file__).parents[1] / "jaxblur"
 LOWEST = {
     "folders",
     "frame",
-    "native",
     "noise",
     "nonfinite",
     "safe_math",
@@ -21,8 +20,8 @@ LOWEST = {
     "srgb",
     "text",
 }
-OPERATORS = {"gathers", "marks", "sample_sums", "sampling", "tiles", "weights"}
-CORE = LOWEST | OPERATORS | {"filters"}
+ENGINE = {"kernels"}
+CORE = LOWEST | ENGINE | {"filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 FILES = {"vectors", "exr", "pictures", "sequence"}
@@ -30,9 +29,10 @@ MIDDLE = {"batch", "bench", "devices", "fitting", "planning", "report"}
 TOP = {"cli", "demo", "__main__"}
 
 MAY_IMPORT = {
-    **dict.fromkeys(LOWEST | OPERATORS | JUDGES, LOWEST),
-    **dict.fromkeys(("gathers", "marks"), LOWEST | {"sample_sums"}),
-    "filters": LOWEST | OPERATORS,
+    **dict.fromkeys(LOWEST | JUDGES, LOWEST),
+    # The engine knows nothing of blur, not even what a frame is.
+    "kernels": {"settings", "folders"},
+    "filters": LOWEST | ENGINE,
     "batch": LOWEST | {"filters"},
     "devices": LOWEST | {"filters", "batch"},
     "vectors": LOWEST,
@@ -43,8 +43,8 @@ MAY_IMPORT = {
     "report": LOWEST | {"exr", "metrics", "show"},
     "bench": CORE | JUDGES | {"exr", "vectors", "show"},
     "fitting": CORE | JUDGES | FILES | {"show", "batch"},
-    "velocity_encoding": LOWEST | {"tiles"},
-    "planning": LOWEST | {"tiles", "filters", "vectors"},
+    "velocity_encoding": LOWEST,
+    "planning": LOWEST | {"filters", "vectors"},
     **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | MIDDLE),
     "__main__": {"cli"},
 }

@@ -1,3 +1,4 @@
+from ._masking import honoring_mask as honoring_mask
 from .guertin2014 import (
     GuertinParameters as GuertinParameters,
     guertin2014 as guertin2014,

@@ -8,7 +8,7 @@ sample contributes neither color nor weight, in any filter, at the price of one 
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Concatenate, ParamSpec
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +17,15 @@ from jaxtyping import Array, Float
 
 from ..frame import Frame, check_frame
 
+P = ParamSpec("P")
+
 SMALLEST_SHARE = 1e-3
 """Pixels that see less of what is valid count as not reached by it."""
 
 
-def honoring_mask(function: Callable[..., Any]) -> Callable[..., Any]:
+def honoring_mask(
+    function: Callable[Concatenate[Frame, P], jax.Array],
+) -> Callable[Concatenate[Frame, P], jax.Array]:
     """Make a filter leave out what ``frame.valid`` masks.
 
     Args:
@@ -32,7 +36,7 @@ def honoring_mask(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(function)
-    def with_mask(frame: Frame, *arguments: Any, **options: Any) -> Any:
+    def with_mask(frame: Frame, /, *arguments: P.args, **options: P.kwargs) -> jax.Array:
         if frame.valid is None:
             return function(frame, *arguments, **options)
         return divide_by_mask(function(append_mask(frame), *arguments, **options))

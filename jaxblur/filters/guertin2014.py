@@ -188,7 +188,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
 
     # Pass 9: the pixel itself weighs N / (kappa |vc|), N the samples that counted (pass 10).
     center_weight = sums.count * pixel.inverse_speed / parameters.kappa
-    sharp = (reach <= SPEED_FLOOR) | (sums.count == 0)
+    sharp = sums.count == 0
     inverse = 1 / jnp.where(sharp, 1, sums.weight + center_weight)
     center_share = center_weight * inverse
     blurred = [

@@ -216,7 +216,7 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:
         wanted, prepared = prepare(place, local, tables)
         values = jax.tree.leaves(prepared)
-        return [wanted.astype(dtype), *(values[k] for k in planes)]
+        return [wanted.astype(dtype), *(values[k].astype(dtype) for k in planes)]
 
     everywhere = jnp.ones((grid.height, grid.width), bool)
     wanted, *found = sum_samples(
