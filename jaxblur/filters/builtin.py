@@ -48,6 +48,12 @@ def _check_guertin_fit(
             "`free` must not hold both eta and phi: only their product enters the filter, so that "
             "no frame can separate them; fit phi and leave eta as it is."
         )
+    jitter = [name for name in ("eta", "phi") if name in free]
+    if jitter and settings.noise == "none":
+        raise ValueError(
+            f"`free` must not hold {jitter[0]} with `noise='none'`: it scales the noise; pass "
+            "settings with 'ign' or 'halton', or leave it out."
+        )
     if "tau" not in free:
         return
     if settings.tile_choice == "own":
