@@ -31,6 +31,7 @@ import jax
 import jax.export
 import jax.numpy as jnp
 import numpy as np
+from jax import core
 from jax.typing import ArrayLike
 
 Record = TypeVar("Record", bound=type)
@@ -105,7 +106,7 @@ class Frame:
         for name in changes:
             if name not in names:
                 raise ValueError(f"`{name}` must be a buffer of a frame: {', '.join(names)}.")
-        return Frame(**{name: getattr(self, name) for name in names} | changes)
+        return dataclasses.replace(self, **changes)
 
     def __repr__(self) -> str:
         parts = []
@@ -122,7 +123,7 @@ def _in_short(buffer: object) -> str:
     if shape is None:
         return repr(buffer)
     text = f"{getattr(buffer, 'dtype', '?')}{list(shape)}"
-    if isinstance(buffer, jax.core.Tracer) or not isinstance(buffer, jax.Array | np.ndarray):
+    if isinstance(buffer, core.Tracer) or not isinstance(buffer, jax.Array | np.ndarray):
         return text
     values = np.asarray(buffer)
     if not values.size:

@@ -109,13 +109,13 @@ def test_a_custom_derivative_is_kept():
     def program(at, images, _, __):
         return Outcome((wave(images.a.here()[0]),))
 
-    for backend in ("native", "xla"):
+    def total(plane, backend: Backend):
+        images = Planes(Image(plane), Image(plane))
+        return jnp.sum(each_pixel(program, SIZE, images, backend=backend))
 
-        def total(plane, backend=backend):
-            images = Planes(Image(plane), Image(plane))
-            return jnp.sum(each_pixel(program, SIZE, images, backend=backend))
-
-        np.testing.assert_array_equal(jax.grad(total)(jnp.ones((*SIZE, 1))), 7)
+    backends: tuple[Backend, Backend] = ("native", "xla")
+    for backend in backends:
+        np.testing.assert_array_equal(jax.grad(total)(jnp.ones((*SIZE, 1)), backend), 7)
 
 
 def channels_program(at, images, _, __):

@@ -5,11 +5,11 @@ import importlib
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxblur.filters.reaching import fine_tile
 
 import jaxblur
 from jaxblur import metrics
 from jaxblur.filters import FILTERS, filter_info
+from jaxblur.filters.layered import fine_tile
 
 robustness = importlib.import_module("experiments.012_layered.robustness")
 

@@ -90,7 +90,7 @@ def finite_depth(depth: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 def relative_closeness(
     depth_sample: Float[Array, "*a"],
     depth_pixel: Float[Array, "*b"],
-    sharpness: Float[Array, "*c"],
+    sharpness: float | Float[Array, "*c"],
 ) -> tuple[Float[Array, "*d"], Float[Array, "*d"]]:
     """How far the sample counts as in front of the pixel (f), and behind it (b).
 
@@ -116,7 +116,7 @@ def relative_closeness(
 def absolute_closeness(
     depth_sample: Float[Array, "*a"],
     depth_pixel: Float[Array, "*b"],
-    extent: Float[Array, "*c"],
+    extent: float | Float[Array, "*c"],
 ) -> tuple[Float[Array, "*d"], Float[Array, "*d"]]:
     """The same classification over an absolute extent of depth.
 

@@ -83,7 +83,7 @@ def ring_variance(at: At, images: Tiles, _: None, __: None) -> Outcome:
     """Pass 12: ``1 - mean |w(t) . w(u)|`` over the ring, eq. 3.2."""
     own_x, own_y = safe_normalize(*images.tiles.here())
     still = (own_x == 0) & (own_y == 0)
-    aligned = count = 0
+    aligned = count = jnp.zeros_like(own_x)
     for ox, oy in RING:
         row, column = at.row + oy, at.column + ox
         inside = (row >= 0) & (row < images.tiles.height)
@@ -260,7 +260,7 @@ def _step_out(position: Array) -> Array:
 def drawn_tile(
     at: At,
     noise: tuple[Array, Array],
-    tau: Array,
+    tau: float | Array,
     radius: int,
     tiles: Image,
 ) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
@@ -295,7 +295,7 @@ def _step_to_neighbor(place: Array, count: int | Array, radius: int) -> Array:
     return jnp.where((tile >= 0) & (tile < count), step, 0)
 
 
-def _leaving_chance(place: Array, radius: int, tau: Array) -> Array:
+def _leaving_chance(place: Array, radius: int, tau: float | Array) -> Array:
     """Chance to read the nearer neighbor along one axis.
 
     ``w = max(0, 1/2 - d / tau)`` at a distance d (in tiles) from the border; 0 for tau = 0.
@@ -326,7 +326,7 @@ def chosen_tile(
 
 
 def chances_of_tiles(
-    at: At, tau: Array, radius: int, tiles: Image | tuple[int, int]
+    at: At, tau: float | Array, radius: int, tiles: Image | tuple[int, int]
 ) -> tuple[Array, Array, Array]:
     """The probabilities of the choices of `chosen_tile`.
 

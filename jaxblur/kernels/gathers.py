@@ -155,8 +155,9 @@ def _by_stages(
     """Which results are wanted (H, W, 1), and the results: one stage after the other."""
     wanted, prepared = _prepared(plan, stages, leaves)
     shape = plan.grid.height, plan.grid.width, 1
-    if stages.sample is None:
+    if stages.sample is None or stages.finish is None:
         return wanted, _image(shape, prepared)
+    finish_planes = stages.finish
     flat, structure = jax.tree.flatten(prepared)
     sums = sum_samples(
         *(_of_planes(stages.sample, structure), stages.count, wanted[..., 0], flat),
@@ -167,7 +168,7 @@ def _by_stages(
 
     def finish(sums: Any, prepared: Any, leaves: Any) -> list[jax.Array]:
         local, _ = plan.operands(leaves)
-        return stages.finish(plan.grid.place(), sums, prepared, local)
+        return finish_planes(plan.grid.place(), sums, prepared, local)
 
     results = jax.checkpoint(finish)(planes, prepared, list(leaves))
     return wanted, _image(shape, results)
@@ -252,7 +253,8 @@ def _gather_jvp(plan, stages, primals, tangents):
         values = _select(wanted, values, kept)
     if kept is None:
         return values, change
-    return values, _select(wanted, change, kept_change if changes else jnp.zeros_like(kept))
+    other = jnp.zeros_like(kept) if isinstance(kept_change, SymbolicZero) else kept_change
+    return values, _select(wanted, change, other)
 
 
 def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
@@ -290,7 +292,8 @@ def _carrying(
 def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
     """Stages that carry the derivative with respect to each active scalar along."""
     carrying = functools.partial(_carrying, plan, stages, active)
-    if stages.sample is None:
+    whole_sample, whole_finish = stages.sample, stages.finish
+    if whole_sample is None or whole_finish is None:
         otherwise = stages.otherwise and _flat(carrying(stages.otherwise))
         return stages._replace(prepare=_flat(carrying(stages.prepare)), otherwise=otherwise)
 
@@ -298,7 +301,7 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         value, changes = prepared
 
         def terms(value):
-            return stages.sample(index, place, value, tables)
+            return whole_sample(index, place, value, tables)
 
         return _with_changes(terms, (value,), [(change,) for change in changes])
 
@@ -308,7 +311,7 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         blocks = [list(sums[k : k + size]) for k in range(0, len(sums), size)]
 
         def results(sums, value):
-            return stages.finish(place, sums, value, local)
+            return whole_finish(place, sums, value, local)
 
         return _with_changes(
             results, (blocks[0], value), list(zip(blocks[1:], changes, strict=True))

@@ -48,14 +48,15 @@ def _no_terms(*_: Any) -> tuple[()]:
 
 def _by_scatter(stages: Stages, plan: Plan, leaves: Any, length: int) -> jax.Array:
     """One step of all pixels after the other."""
-    assert stages.sample is not None and stages.limit is not None
+    sample, limit = stages.sample, stages.limit
+    assert sample is not None and limit is not None
     place, (local, tables) = plan.grid.place(), plan.operands(leaves)
     _, found = stages.where(place, local, tables)
     prepared = stages.prepare(place, local, tables, found)
-    most = jnp.max(stages.limit(prepared)).astype(jnp.int32)
+    most = jnp.max(limit(prepared)).astype(jnp.int32)
 
     def add(index: jax.Array, table: jax.Array) -> jax.Array:
-        numbers = stages.sample(index[None], place, prepared, tables)  # pyright: ignore[reportOptionalCall]
+        numbers = sample(index[None], place, prepared, tables)
         shape = plan.grid.height, plan.grid.width, 1
         places, marks = (
             jnp.stack([jnp.broadcast_to(number, shape) for number in part]).reshape(-1)

@@ -134,7 +134,7 @@ def trace(program: Program, images: Any, parameters: Any, settings: Any) -> Trac
     """
     leaves, structure = flatten(images, parameters)
     kinds = tuple(_kind(leaf) for leaf in leaves)
-    return _trace(program, structure, kinds, settings, bool(jax.config.jax_enable_x64))
+    return _trace(program, structure, kinds, settings, jnp.result_type(float) == jnp.float64)
 
 
 def _kind(leaf: Image | jax.Array) -> Kind:
@@ -327,11 +327,13 @@ class _Cut:
     def stages(self) -> Stages:
         """The stages as functions."""
         if self.loop is None:
+            otherwise = None
+            if self.otherwise is not None:
+                otherwise = functools.partial(self._results, self.rest, self.otherwise)
             return Stages(
                 where=self._where,
                 prepare=functools.partial(self._results, self.before, self.values),
-                otherwise=self.otherwise
-                and functools.partial(self._results, self.rest, self.otherwise),
+                otherwise=otherwise,
             )
         if self.otherwise is not None:
             raise UnsupportedProgram("`Outcome.otherwise` is for programs without a sum.")

@@ -222,7 +222,7 @@ def ways_of(
     velocity: Vector,
     turn: Vector,
     half: Vector | None,
-    bend: Array,
+    bend: float | Array,
     others: Sequence[tuple[Vector, Array]],
 ) -> list[Way]:
     """The three ways to guess along.
@@ -241,7 +241,7 @@ def ways_of(
     return ways
 
 
-def other_way(own: Vector, other: Sequence[Array], distinct: Array) -> tuple[Vector, Array]:
+def other_way(own: Vector, other: Sequence[Array], distinct: float | Array) -> tuple[Vector, Array]:
     """A velocity of the tile, and how surely it is the pixel's own one; that itself for none."""
     (x, y), (other_x, other_y) = own, other
     apart = jnp.square(other_x - x) + jnp.square(other_y - y)
@@ -252,7 +252,7 @@ def other_way(own: Vector, other: Sequence[Array], distinct: Array) -> tuple[Vec
 
 
 def visible_shares(
-    guesses: Sequence[Guess], own: Sequence[Array | float], sharpness: Array
+    guesses: Sequence[Guess], own: Sequence[Array | float], sharpness: float | Array
 ) -> tuple[list[Array], Array]:
     """Share of each landed guess in the visible color, and the share that none of them fills.
 
@@ -300,7 +300,7 @@ def half_acceleration(at: At, path: Image | None, taken: Array, radius: int) -> 
     return x * shorter, y * shorter
 
 
-def turn_along(at: At, motion: Image, pixel: Motion, sharpness: Array) -> Vector:
+def turn_along(at: At, motion: Image, pixel: Motion, sharpness: float | Array) -> Vector:
     """Change of velocity along the own way, ``(v . grad) v``; 0 beyond the ends of the surface."""
     x, y = pixel.x, pixel.y
     squared = jnp.square(x) + jnp.square(y)
