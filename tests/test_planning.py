@@ -183,7 +183,7 @@ def candidates():
 @pytest.mark.parametrize("label", candidates())
 def test_stored_candidates_can_be_run(label):
     record = candidates()[label]
-        jaxblur.filter_info(record["filter"]).make_settings(**record["settings"])
+    jaxblur.filter_info(record["filter"]).make_settings(**record["settings"])
     assert record["filter"] in jaxblur.FILTERS
     known = jaxblur.filter_info(record["filter"]).parameter_infos
     assert record["parameters"].keys() == known.keys(), "all, by name"
