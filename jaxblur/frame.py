@@ -1,3 +1,5 @@
+# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
 """The frame and its conventions: units, axes, signs, shutter, depth.
 
 Every array in jaxblur follows this page; files are converted to it when they are read.

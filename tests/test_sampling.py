@@ -30,17 +30,17 @@ def read_at(offset_x, offset_y, size, border: Border = "skip"):
 
 @pytest.mark.parametrize(("offset", "column"), [(-0.5, 2), (-0.51, 1), (0.49, 2), (0.5, 3)])
 def test_positions_round_half_up(offset, column):
-    assert read_at(offset, 0, (1, 5)).index[0, 2, 0] == column
+    assert read_at(offset, 0, (1, 5)).number[0, 2, 0] == column
 
 
 def test_plus_one_in_x_reads_the_column_to_the_right_and_plus_one_in_y_the_row_below():
-    assert read_at(1, 0, (3, 4)).index[1, 1, 0] == 1 * 4 + 2
-    assert read_at(0, 1, (3, 4)).index[1, 1, 0] == 2 * 4 + 1
+    assert read_at(1, 0, (3, 4)).number[1, 1, 0] == 1 * 4 + 2
+    assert read_at(0, 1, (3, 4)).number[1, 1, 0] == 2 * 4 + 1
 
 
 def test_outside_the_image_clamp_counts_and_skip_does_not():
     skip, clamp = read_at(-9, 9, (3, 4), "skip"), read_at(-9, 9, (3, 4), "clamp")
-    assert skip.index[1, 1, 0] == clamp.index[1, 1, 0] == 2 * 4 + 0
+    assert skip.number[1, 1, 0] == clamp.number[1, 1, 0] == 2 * 4 + 0
     assert not skip.counts[1, 1, 0] and clamp.counts[1, 1, 0]
 
 

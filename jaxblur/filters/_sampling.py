@@ -20,7 +20,7 @@ class Texel(NamedTuple):
     """The texel that a sample reads.
 
     Attributes:
-        index: row-major number of the nearest texel, inside the image.
+        number: row-major number of the nearest texel, inside the image.
         counts: False where the sample has no weight (outside the image under ``skip``).
         column: of the nearest texel, possibly outside the image.
         row: of the nearest texel.
@@ -28,7 +28,7 @@ class Texel(NamedTuple):
         down: how far it is below.
     """
 
-    index: Int[Array, "*shape"]
+    number: Int[Array, "*shape"]
     counts: Array
     column: Int[Array, "*shape"]
     row: Int[Array, "*shape"]
@@ -131,7 +131,7 @@ def read_color(image: Image, texel: Texel, fetch: Fetch) -> tuple[Float[Array, "
         One value a channel.
     """
     if fetch == "nearest":
-        return image.read_texel(texel.index)
+        return image.read_texel(texel.number)
     (right, across), (below, down) = _toward(texel.across), _toward(texel.down)
     columns = [jnp.clip(texel.column + k, 0, image.width - 1) for k in (0, right)]
     rows = [jnp.clip(texel.row + k, 0, image.height - 1) * image.width for k in (0, below)]
@@ -145,7 +145,7 @@ def read_color(image: Image, texel: Texel, fetch: Fetch) -> tuple[Float[Array, "
 
 
 def read_color_along(
-    image: Image, texel: Texel, along_x: Bool[Array, "*shape"]
+    image: Image, texel: Texel, along_x: Bool[Array, "*pixels"]
 ) -> tuple[Float[Array, "*shape"], ...]:
     """Read color at a sample, mixed of two texels that are neighbors along one axis.
 
@@ -163,6 +163,6 @@ def read_color_along(
     step, share = _toward(jnp.where(along_x, texel.across, texel.down))
     column = jnp.clip(texel.column + jnp.where(along_x, step, 0), 0, image.width - 1)
     row = jnp.clip(texel.row + jnp.where(along_x, 0, step), 0, image.height - 1)
-    first = image.read_texel(texel.index)
+    first = image.read_texel(texel.number)
     second = image.read(row, column)
     return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))

@@ -127,7 +127,7 @@ class Sums(NamedTuple):
 
     color: tuple[Array, ...]
     weight: Array
-    count: Array
+    counted: Array
 
 
 # Pass 1
@@ -176,7 +176,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
         texel = find_texel(
             *(at, position * direction[0], position * direction[1], images.color, settings.border)
         )
-        other = Motion(*images.motion.read_texel(texel.index))
+        other = Motion(*images.motion.read_texel(texel.number))
 
         # wA and wB: how well the pixel and the sample move along the direction (departure 4).
         along_pixel: Array | int = 1
@@ -203,8 +203,8 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     sums = sum_over(settings.samples, sample, limit)
 
     # Pass 9: the pixel itself weighs N / (kappa |vc|), N the samples that counted (pass 10).
-    center_weight = sums.count * pixel.inverse_speed / scalars.kappa
-    sharp = sums.count == 0
+    center_weight = sums.counted * pixel.inverse_speed / scalars.kappa
+    sharp = sums.counted == 0
     inverse = 1 / jnp.where(sharp, 1, sums.weight + center_weight)
     center_share = center_weight * inverse
     blurred = [

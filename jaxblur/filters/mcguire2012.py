@@ -101,7 +101,7 @@ def blur_pixel(
         if settings.fetch == "nearest":
             offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
         distance = safe_norm(offset_x, offset_y)
-        other = Motion(*images.motion.read_texel(texel.index))
+        other = Motion(*images.motion.read_texel(texel.number))
 
         # f cone(|V[Y]|) + b cone(|V[X]|) + 2 cylinder(|V[Y]|) cylinder(|V[X]|)
         front, back = absolute_closeness(other.depth, pixel.depth, parameters.soft_z_extent)

@@ -35,7 +35,7 @@ class Sums(NamedTuple):
     """Sums over the samples of a pixel."""
 
     color: tuple[Array, ...]
-    count: Array
+    counted: Array
 
 
 def blur_pixel(at: At, images: Images, _: None, settings: Settings) -> Outcome:
@@ -57,9 +57,9 @@ def blur_pixel(at: At, images: Images, _: None, settings: Settings) -> Outcome:
         return Sums(tuple(counts * color for color in colors), counts)
 
     sums = sum_over(settings.samples, sample, limit)
-    total = jnp.maximum(sums.count, 1)
+    total = jnp.maximum(sums.counted, 1)
     blurred = [
-        jnp.where(sums.count > 0, color / total, own)
+        jnp.where(sums.counted > 0, color / total, own)
         for own, color in zip(images.color.here(), sums.color, strict=True)
     ]
     return Outcome(tuple(blurred), speed > SPEED_FLOOR)

@@ -46,7 +46,7 @@ def run_stages(
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     sample = stages.sample or _no_terms
-    plan = Plan(sample, stages.limit, stages.count, backend, grid, len(local))
+    plan = Plan(sample, stages.limit, stages.samples, backend, grid, len(local))
     leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
     return _gather(plan, stages, kept, leaves)
 
@@ -73,26 +73,27 @@ def cond_of_values(
         The result of one of both.
     """
     leaves, structure = jax.tree.flatten(operands)
-    functions = [
-        lambda leaves, f=f: jax.tree.map(_batch_first, f(*jax.tree.unflatten(structure, leaves)))
-        for f in (usual, other)
-    ]
+    functions = [functools.partial(_of_leaves, function, structure) for function in (usual, other)]
 
     @jax.custom_jvp
-    def choose(predicate, leaves):
+    def choose(predicate: Any, leaves: Any) -> Any:
         return lax.cond(predicate, *functions, leaves)
 
-    def of_usual(primals, tangents):
+    def of_usual(primals: Any, tangents: Any) -> tuple[Any, Any]:
         (_, leaves), (_, tangents) = primals, tangents
         active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
 
-        def of_active(values):
+        def of_active(values: Any) -> Any:
             return functions[0](replaced(leaves, active, values))
 
         return jax.jvp(of_active, ([leaves[k] for k in active],), ([tangents[k] for k in active],))
 
     choose.defjvp(of_usual, symbolic_zeros=True)
     return choose(predicate, leaves)
+
+
+def _of_leaves(function: Callable[..., Any], structure: Any, leaves: Any) -> Any:
+    return jax.tree.map(_batch_first, function(*jax.tree.unflatten(structure, leaves)))
 
 
 def unchanged(color: jax.Array, computed: jax.Array) -> jax.Array:
@@ -127,7 +128,7 @@ def _gather(
     native = native_gather(stages, leaves, plan.locals, plan.grid, plan.backend, channels)
     count, images = len(leaves), [] if kept is None else [kept]
 
-    def by_stages(backend, *operands):
+    def by_stages(backend: Backend, *operands: jax.Array) -> jax.Array:
         wanted, results = _by_stages(plan._replace(backend=backend), stages, operands[:count])
         return _select(wanted, results, *operands[count:])
 
@@ -160,7 +161,7 @@ def _by_stages(
     finish_planes = stages.finish
     flat, structure = jax.tree.flatten(prepared)
     sums = sum_samples(
-        *(_of_planes(stages.sample, structure), stages.count, wanted[..., 0], flat),
+        *(_of_planes(stages.sample, structure), stages.samples, wanted[..., 0], flat),
         *(leaves[plan.locals :], plan.grid, plan.backend),
         stages.limit and _limit_of_planes(stages.limit, structure),
     )
@@ -230,7 +231,9 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
 
 
-def _gather_jvp(plan, stages, primals, tangents):
+def _gather_jvp(
+    plan: Plan, stages: Stages, primals: Any, tangents: Any
+) -> tuple[jax.Array, jax.Array]:
     """Derivatives are those of the stages; only inputs with a tangent are differentiated."""
     (kept, leaves), (kept_change, tangents) = primals, tangents
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
@@ -243,7 +246,7 @@ def _gather_jvp(plan, stages, primals, tangents):
         wanted = stages.where(plan.grid.place(), *plan.operands(leaves))[0]
     else:
 
-        def results(values):
+        def results(values: Any) -> tuple[jax.Array, jax.Array]:
             wanted, results = _by_stages(plan, stages, replaced(leaves, active, values))
             return results, wanted
 
@@ -257,7 +260,14 @@ def _gather_jvp(plan, stages, primals, tangents):
     return values, _select(wanted, change, other)
 
 
-def _scalar_derivatives(plan, stages, kept, leaves, active, directions):
+def _scalar_derivatives(
+    plan: Plan,
+    stages: Stages,
+    kept: jax.Array | None,
+    leaves: list[jax.Array],
+    active: Sequence[int],
+    directions: Sequence[jax.Array],
+) -> tuple[jax.Array, jax.Array]:
     """The results and their change with some scalars, from one kernel: derivatives are images."""
     augmented = _with_scalar_derivatives(plan, stages, active)
     images = _gather(plan, augmented, kept, leaves)
@@ -274,8 +284,8 @@ def _carrying(
 ) -> Callable[..., Any]:
     """A stage before the samples, and its derivative with respect to each active scalar."""
 
-    def carried(place, local, tables, found):
-        def of_scalar(position, value):
+    def carried(place: Place, local: Any, tables: Any, found: Any) -> tuple[Any, list[Any]]:
+        def of_scalar(position: int, value: Any) -> Any:
             moved = replaced(local, [position], [(value,)])
             return stage(place, moved, tables, stages.where(place, moved, tables)[1])
 
@@ -297,20 +307,20 @@ def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) 
         otherwise = stages.otherwise and _flat(carrying(stages.otherwise))
         return stages._replace(prepare=_flat(carrying(stages.prepare)), otherwise=otherwise)
 
-    def sample(index, place, prepared, tables):
+    def sample(index: Any, place: Place, prepared: Any, tables: Any) -> tuple[Any, ...]:
         value, changes = prepared
 
-        def terms(value):
+        def terms(value: Any) -> Any:
             return whole_sample(index, place, value, tables)
 
         return _with_changes(terms, (value,), [(change,) for change in changes])
 
-    def finish(place, sums, prepared, local):
+    def finish(place: Place, sums: Any, prepared: Any, local: Any) -> tuple[Any, ...]:
         value, changes = prepared
         size = len(sums) // (1 + len(changes))
         blocks = [list(sums[k : k + size]) for k in range(0, len(sums), size)]
 
-        def results(sums, value):
+        def results(sums: Any, value: Any) -> Any:
             return whole_finish(place, sums, value, local)
 
         return _with_changes(

@@ -3,7 +3,7 @@
 import contextlib
 import contextvars
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -41,7 +41,7 @@ _recorded: contextvars.ContextVar[list[Pass] | None] = contextvars.ContextVar(
 
 
 @contextlib.contextmanager
-def recorded_passes() -> Iterator[list[Pass]]:
+def recorded_passes() -> Generator[list[Pass], None, None]:
     """Record the passes that are traced inside a ``with`` block, in order.
 
     A jitted function that is called with the same types again is not traced again: record it on

@@ -57,7 +57,7 @@ class Plan(NamedTuple):
     Attributes:
         sample: maps (index, place, local, tables) to terms.
         limit: maps local to the number of samples, or None.
-        count: number of samples N.
+        samples: number of samples N.
         backend: see `jaxblur.Settings`.
         grid: sizes.
         locals: how many of the leaves are local; the others are tables.
@@ -65,7 +65,7 @@ class Plan(NamedTuple):
 
     sample: Sample
     limit: Callable[..., Any] | None
-    count: int
+    samples: int
     backend: Backend
     grid: Grid
     locals: int
@@ -148,7 +148,7 @@ def _only(plan: Plan) -> Stages:
         sample=sample,
         finish=lambda place, sums, prepared, local: sums,
         limit=plan.limit,
-        count=plan.count,
+        samples=plan.samples,
     )
 
 
@@ -160,7 +160,7 @@ def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """
 
     def sums(*leaves: jax.Array) -> Terms:
-        terms = plan.terms(jnp.arange(plan.count, dtype=jnp.int32), leaves)
+        terms = plan.terms(jnp.arange(plan.samples, dtype=jnp.int32), leaves)
         zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
         return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
@@ -197,7 +197,7 @@ def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
         terms = jax.checkpoint(plan.terms)(index[None], leaves)
         return _add(totals, tuple(term[..., 0] for term in terms)), None
 
-    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.count, dtype=jnp.int32))[0]
+    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.samples, dtype=jnp.int32))[0]
 
 
 def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
@@ -208,12 +208,12 @@ def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[A
     return replaced
 
 
-def _sum_jvp(plan, primals, tangents):
+def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     """Derivatives of the sums; only what has a tangent is differentiated."""
     (moving, leaves), tangents = primals, tangents[1]
     active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
     directions = [tangents[k] for k in active]
-    if not active or (plan.count > 1 and active[-1] < plan.locals):
+    if not active or (plan.samples > 1 and active[-1] < plan.locals):
         return _local_derivatives(plan, moving, leaves, active, directions)
     change = _push.bind(moving, *leaves, *directions, plan=plan, active=tuple(active))
     return _sum(plan, moving, leaves), tuple(change)
@@ -239,7 +239,13 @@ def _with_derivatives(
     return sum((derivatives(position) for position in active), start=terms)
 
 
-def _local_derivatives(plan, moving, leaves, active, directions):
+def _local_derivatives(
+    plan: Plan,
+    moving: jax.Array,
+    leaves: list[jax.Array],
+    active: Sequence[int],
+    directions: Sequence[jax.Array],
+) -> tuple[Terms, Terms]:
     """The sums and their change, from one kernel that sums terms and derivatives."""
     augmented = plan._replace(sample=functools.partial(_with_derivatives, plan.sample, active))
     sums = _sum(augmented, moving, leaves)
@@ -255,7 +261,7 @@ def _local_derivatives(plan, moving, leaves, active, directions):
 def _pushed(plan: Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
     """Change of the sums as the active leaves change, sample after sample."""
 
-    def sums(values):
+    def sums(values: Any) -> Terms:
         return _sum_by_scan(plan, replaced(leaves, active, values))
 
     return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
@@ -269,7 +275,7 @@ def _pull(plan: Plan, active: tuple[int, ...], moving: Any, leaves: Any, images:
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
 
     native = native_pull(
-        *(plan.sample, plan.limit, plan.count, leaves, plan.locals, active),
+        *(plan.sample, plan.limit, plan.samples, leaves, plan.locals, active),
         *([image.dtype for image in images], plan.grid, plan.backend),
     )
     if native is None:
@@ -295,13 +301,13 @@ def _like(leaf: jax.Array, is_table: bool, values: Iterator[jax.Array]) -> jax.A
 def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
     """The same by reverse mode over the scan."""
 
-    def sums(*values):
+    def sums(*values: Any) -> Terms:
         return _sum_by_scan(plan, replaced(leaves, active, values))
 
     return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
 
 
-def _pull_jvp(plan, active, primals, tangents):
+def _pull_jvp(plan: Plan, active: tuple[int, ...], primals: Any, tangents: Any) -> tuple[Any, Any]:
     """Second derivatives go through the scan."""
     moving, *rest = primals
     change = jax.jvp(functools.partial(_pulled_by_scan, plan, active), tuple(rest), tangents[1:])[1]
@@ -321,27 +327,29 @@ def _split(operands: Sequence[Any], active: tuple[int, ...]) -> tuple[Any, list[
     return operands[0], list(operands[1 : -len(active)]), list(operands[-len(active) :])
 
 
-def _push_by_scan(*operands, plan, active):
+def _push_by_scan(*operands: Any, plan: Plan, active: tuple[int, ...]) -> Terms:
     """`_pushed` of flat operands."""
     _, leaves, directions = _split(operands, active)
     return _pushed(plan, active, leaves, directions)
 
 
-def _push_shapes(*operands, plan, active):
+def _push_shapes(*operands: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
     """Shapes and types of the change, those of the sums."""
     _, leaves, _ = _split(operands, active)
     leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan, leaves)]
 
 
-def _push_transpose(images, *operands, plan, active):
+def _push_transpose(images: Any, *operands: Any, plan: Plan, active: tuple[int, ...]) -> list[Any]:
     """Reverse mode."""
     moving, leaves, _ = _split(operands, active)
     images = [ad.instantiate_zeros(image) for image in images]
     return [None] * (1 + len(leaves)) + list(_pull(plan, active, moving, leaves, images))
 
 
-def _push_jvp(primals, tangents, *, plan, active):
+def _push_jvp(
+    primals: Any, tangents: Any, *, plan: Plan, active: tuple[int, ...]
+) -> tuple[Any, Any]:
     """Derivatives of the derivatives."""
     moving, *rest = primals
     tangents = [ad.instantiate_zeros(tangent) for tangent in tangents[1:]]
@@ -350,12 +358,14 @@ def _push_jvp(primals, tangents, *, plan, active):
     return _push.bind(*primals, plan=plan, active=active), change
 
 
-def _push_batched(operands, axes, *, plan, active):
+def _push_batched(
+    operands: Any, axes: Any, *, plan: Plan, active: tuple[int, ...]
+) -> tuple[Any, list[int]]:
     """One element of the batch after the other: memory stays that of one."""
     mapped = [k for k, axis in enumerate(axes) if axis is not None]
     moved = [jnp.moveaxis(operands[k], axes[k], 0) for k in mapped]
 
-    def one(values):
+    def one(values: Any) -> Any:
         return _push.bind(*replaced(operands, mapped, values), plan=plan, active=active)
 
     results = lax.map(one, moved)

@@ -69,7 +69,7 @@ class Stages(NamedTuple):
         sample: (index, place, prepared, tables) to the terms of a sample; None without a sum.
         finish: (place, sums, prepared, local) to the results.
         limit: from prepared to the number of samples; None where all count.
-        count: number of samples N.
+        samples: number of samples N.
     """
 
     where: Callable[..., Any]
@@ -78,7 +78,7 @@ class Stages(NamedTuple):
     sample: Callable[..., Any] | None = None
     finish: Callable[..., Any] | None = None
     limit: Callable[..., Any] | None = None
-    count: int = 1
+    samples: int = 1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -344,7 +344,7 @@ class _Cut:
             sample=self._sample,
             finish=self._finish,
             limit=self._limit if loop.params["limited"] else None,
-            count=loop.params["count"],
+            samples=loop.params["count"],
         )
 
     def _inputs(self, place: Place, local: Any, tables: Any) -> dict[Any, Any]:

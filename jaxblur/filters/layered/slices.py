@@ -147,7 +147,7 @@ def blur_pixel(
         offset_x = time_squared * bend_x - time * way_x
         offset_y = time_squared * bend_y - time * way_y
         texel = find_texel(at, offset_x, offset_y, images.color, settings.border)
-        read_x, read_y, depth = images.motion.read_texel(texel.index, 3)
+        read_x, read_y, depth = images.motion.read_texel(texel.number, 3)
         apart_x, apart_y = read_x - way_x + time * turn_x, read_y - way_y + time * turn_y
         apart = jnp.square(apart_x) + jnp.square(apart_y)
         # It lands if it hardly misses the pixel, or is of the pixel's surface: if neither its
@@ -290,7 +290,7 @@ def half_acceleration(at: At, path: Image | None, taken: Array, radius: int) -> 
     if path is None:
         return None
     across, down = taken_from(taken)
-    index = find_texel(at, across, down, path, "clamp").index
+    index = find_texel(at, across, down, path, "clamp").number
     opening_x, opening_y, closing_x, closing_y = path.read_texel(index)
     x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
     # No longer than the radius, so that samples have a farthest place, and shorter by as much as
@@ -306,7 +306,7 @@ def turn_along(at: At, motion: Image, pixel: Motion, sharpness: float | Array) -
     squared = jnp.square(x) + jnp.square(y)
 
     def change(side: float) -> tuple[Array, Array, Array]:
-        index = find_texel(at, side * x, side * y, motion, "clamp").index
+        index = find_texel(at, side * x, side * y, motion, "clamp").number
         near_x, near_y, depth = motion.read_texel(index, 3)
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - pixel.log_depth) * sharpness

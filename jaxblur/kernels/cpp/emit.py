@@ -314,7 +314,7 @@ def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: boo
     limit = None
     if stages.limit is not None:
         limit, _ = program.write(stages.limit, (prepared_shapes,), (prepared,))
-    program.loop(stages.count, limit)
+    program.loop(stages.samples, limit)
     place, local, tables, _ = shapes
     terms, term_shapes = program.write(
         stages.sample,
