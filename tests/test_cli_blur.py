@@ -264,7 +264,7 @@ def test_an_input_is_never_overwritten(tmp_path, option):
         (("--preset", "nuke"), ("no channels of preset `nuke`", "--velocity-channels")),
         (
             ("--velocity-channels", "ViewLayer.Vector.X,ViewLayer.Vector.Y"),
-            ("--velocity-channels do not tell", "name the convention with --preset"),
+            ("--velocity-channels do not say", "name the convention with --preset"),
         ),
         (("--truth", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
         (("--velocity-from", CUBE.with_name("none.exr")), ("none.exr: no such file",)),
