@@ -42,10 +42,10 @@ from .planning import (
     plan as plan,
 )
 from .settings import GuertinSettings as GuertinSettings, Settings as Settings
-from .sky import turning_sky as turning_sky
-from .velocity_encoding import (
+from .vectors.encoding import (
     decode_velocity as decode_velocity,
     encode_velocity as encode_velocity,
 )
+from .vectors.sky import turning_sky as turning_sky
 
 __version__: str

@@ -1,6 +1,7 @@
 """Which module may import which: the layers, the independence of the judges, a light start."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,47 +10,42 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
-LOWEST = {
-    "folders",
-    "frame",
-    "noise",
-    "nonfinite",
-    "safe_math",
-    "settings",
-    "sky",
-    "srgb",
-    "text",
-}
-ENGINE = {"kernels"}
-CORE = LOWEST | ENGINE | {"filters"}
+# Frames, numbers and light: what every layer may know.
+FRAMES = {"frame", "noise", "nonfinite", "safe_math", "settings", "srgb"}
+CORE = FRAMES | {"kernels", "filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
-FILES = {"vectors", "exr", "pictures", "sequence"}
-MIDDLE = {"batch", "bench", "devices", "fitting", "planning", "report"}
-TOP = {"cli", "demo", "__main__"}
 
-MAY_IMPORT = {
-    **dict.fromkeys(LOWEST | JUDGES, LOWEST),
-    # The engine knows nothing of blur, not even what a frame is.
-    "kernels": {"settings", "folders"},
-    "filters": LOWEST | ENGINE,
-    "batch": LOWEST | {"filters"},
-    "devices": LOWEST | {"filters", "batch"},
-    "vectors": LOWEST,
-    "exr": LOWEST | {"vectors"},
-    "pictures": LOWEST | {"exr", "metrics"},
-    "sequence": LOWEST | {"exr", "vectors"},
-    "show": CORE | {"metrics", "srgb"},
-    "report": LOWEST | {"exr", "metrics", "show"},
-    "bench": CORE | JUDGES | {"exr", "vectors", "show"},
-    "fitting": CORE | JUDGES | FILES | {"show", "batch"},
-    "velocity_encoding": LOWEST,
-    "planning": LOWEST | {"filters", "vectors"},
-    **dict.fromkeys(TOP, CORE | JUDGES | FILES | TOP - {"cli"} | MIDDLE),
+MAY_IMPORT: dict[str, set[str]] = {
+    "_util": set(),
+    "frame": set(),
+    "safe_math": set(),
+    "settings": set(),
+    "srgb": set(),
+    "nonfinite": {"frame"},
+    "noise": {"frame", "settings"},
+    "metrics": {"frame", "srgb"},
+    "scenes": {"frame", "srgb"},
+    "kernels": {"_util", "safe_math", "settings"},
+    "filters": {"frame", "kernels", "noise", "safe_math", "settings"},
+    "vectors": {"frame", "safe_math"},
+    "exr": {"_util", "frame", "nonfinite", "srgb", "vectors"},
+    "sequence": {"exr"},
+    "batch": {"filters", "frame", "noise", "settings"},
+    "devices": {"batch", "filters", "frame", "noise", "settings"},
+    "planning": {"filters", "frame", "settings", "vectors"},
+    "show": {"_util", "filters", "frame", "metrics", "noise", "safe_math", "settings"},
+    "report": {"_util", "exr", "metrics"},
+    "bench": {"_util", "exr", "filters", "frame", "metrics", "scenes", "settings", "vectors"},
     "__main__": {"cli"},
 }
+MAY_IMPORT["fitting"] = {"_util", "batch", "exr", "show", "vectors"} | {
+    *("filters", "frame", "metrics", "noise", "settings"),
+}
+MAY_IMPORT["cli"] = MAY_IMPORT.keys() - {"__main__"}
 
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+PACKAGES = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
 
 
 def home(source):
@@ -103,9 +99,21 @@ def test_every_module_imports_only_what_its_layer_may(source):
     assert not forbidden, f"{module} must not import {', '.join(sorted(forbidden))}"
 
 
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_says_in_five_lines_what_it_may_import(package):
+    tree = ast.parse((PACKAGE / package / "__init__.py").read_text(encoding="utf-8"))
+    start = " ".join((ast.get_docstring(tree) or "").splitlines()[:5])
+    if package == "cli":
+        assert "Imports any part of jaxblur." in start
+        return
+    sentence = re.search(r"Imports nothing of jaxblur(?: but ((?:`\w+`(?:, | and )?)+))?", start)
+    assert sentence, "one sentence about imports, in the first five lines"
+    assert set(re.findall(r"\w+", (sentence[1] or "").replace(" and ", " "))) == MAY_IMPORT[package]
+
+
 @pytest.mark.parametrize(
     "source",
-    [source for source in SOURCES if home(source) in CORE | JUDGES],
+    [source for source in SOURCES if home(source) in CORE | JUDGES | {"_util"}],
     ids=lambda path: path.relative_to(PACKAGE).as_posix(),
 )
 def test_kernels_and_judges_need_neither_optimizer_nor_files(source):
@@ -115,8 +123,14 @@ def test_kernels_and_judges_need_neither_optimizer_nor_files(source):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["-c", "import jaxblur"], ["-m", "jaxblur", "--help"], ["-m", "jaxblur", "--version"]],
-    ids=["import", "help", "version"],
+    [
+        ["-c", "import jaxblur"],
+        ["-c", "import jaxblur.vectors"],
+        ["-c", "import jaxblur._util.atomic, jaxblur._util.cache, jaxblur._util.pareto"],
+        ["-m", "jaxblur", "--help"],
+        ["-m", "jaxblur", "--version"],
+    ],
+    ids=["import", "vectors", "util", "help", "version"],
 )
 def test_a_start_that_computes_nothing_does_not_load_jax(arguments):
     result = subprocess.run(

@@ -11,7 +11,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
-from jaxblur.exr import atomic
+from jaxblur.exr import output
 from jaxblur.exr.header import relabel_as_uint
 from tests.exr_files import (
     CAR,
@@ -254,7 +254,7 @@ def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypa
 
     create = oiio.ImageOutput.create
     outputs = type("Outputs", (), {"create": staticmethod(lambda p: Failing(create(p)))})
-    monkeypatch.setattr(atomic.oiio, "ImageOutput", outputs)
+    monkeypatch.setattr(output.oiio, "ImageOutput", outputs)
     with pytest.raises(exr.JaxblurIOError, match=r"out.exr: cannot be written"):
         exr.write_image(path, np.zeros((2, 2, 3)))
     assert path.read_bytes() == before

@@ -4,7 +4,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from jaxblur import exr, pictures, srgb
+from experiments import pictures
+from jaxblur import exr, srgb
 
 
 def stored_bytes(path):

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxblur
-from jaxblur import exr, metrics, pictures, report
+from experiments import pictures
+from jaxblur import exr, metrics, report
 from jaxblur.filters import filter_info
 
 WINDOW = (80, 120)

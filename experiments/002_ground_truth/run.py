@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from experiments import pictures
 from experiments.common import output_parser
-from jaxblur import metrics, pictures, scenes, show
+from jaxblur import metrics, scenes, show
 from jaxblur.filters import FILTERS, filter_info
 
 CUBES = 500

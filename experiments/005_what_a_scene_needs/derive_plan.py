@@ -4,7 +4,7 @@
 
 Candidates of guertin2014 are fitted to catalogue scenes at 15 samples. All candidates are scored on
 these scenes at several numbers of samples and two shutters, and a ridge regression predicts the
-loss of each. Writes ``planning_constants.json``, which belongs in the package; ``validate_plan``
+loss of each. Writes ``constants.json``, which belongs in the package; ``validate_plan``
 then tries it.
 """
 
@@ -220,7 +220,7 @@ def main() -> None:
     parameters = {label: fitted(c, training) for label, c in CANDIDATES.items()}
     known = derive(parameters, examples, rates(parameters, training, 9))
     text = json.dumps(known, indent=1) + "\n"
-    (options.output / "planning_constants.json").write_text(text, encoding="utf-8")
+    (options.output / "constants.json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxblur
-from experiments import common
+from experiments import common, pictures
 from experiments.common import GUERTIN, Example
-from jaxblur import fitting, metrics, pictures, report, show
+from jaxblur import fitting, metrics, report, show
 from jaxblur.filters import filter_info
 from jaxblur.fitting.objective import draw_noise
 

@@ -14,8 +14,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from experiments import common
-from jaxblur import metrics, pictures, scenes
+from experiments import common, pictures
+from jaxblur import metrics, scenes
 from jaxblur.filters import FILTERS, filter_info
 
 SIZE, SHUTTER, TRUTH_SAMPLES = (360, 640), 1.0, 256

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 import jaxblur
-from experiments import common
-from jaxblur import exr, metrics, pictures
+from experiments import common, pictures
+from jaxblur import exr, metrics
 from jaxblur.filters import filter_info
 
 REPEATS = 7

@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Iterable, Sequence
 
-from ..show.pareto import Measurement, pareto_front
+from .._util.pareto import Measurement, pareto_front
 from .cases import UNBLURRED, Case
 from .results import Row
 

@@ -13,7 +13,7 @@ import pathlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ..exr.atomic import replacing
+from .._util.atomic import replacing
 from ..settings import GuertinSettings
 from .cases import AUTO, RENDERERS, UNBLURRED, Case, filter_of, names_of_settings, usual_settings
 from .subjects import Subject

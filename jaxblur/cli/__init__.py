@@ -1,5 +1,7 @@
 """The command line: parse, call, write; one module for each command.
 
+Imports any part of jaxblur.
+
 Exit status: 0 done, 1 some frames of a sequence are not (or the answer is no: something got slower,
 no vectors fit), 2 wrong usage or input (nothing was written), 130 interrupted, 141 the reader of
 the output went away. Results go to stdout, everything else to stderr. Nothing here imports jax

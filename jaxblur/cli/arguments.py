@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
-from jaxblur.text import printable
+from jaxblur._util.text import printable
 
 PNG_TRANSFORM = "8-bit sRGB, clipped to 0..1"
 HELP_WIDTH = 98

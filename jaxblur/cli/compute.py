@@ -6,7 +6,7 @@ import gc
 import logging
 import os
 
-from jaxblur.folders import cache_folder
+from jaxblur._util.cache import cache_folder
 
 from .interrupts import held_back
 

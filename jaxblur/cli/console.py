@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from jaxblur.text import printable
+from jaxblur._util.text import printable
 
 GAP = "  "
 

@@ -1,18 +1,15 @@
 """Which errors a user can mend, and how they are told."""
 
+from jaxblur._util.errors import JaxblurIOError
+
 from .arguments import CommandError
 
 
 def is_foreseeable(error: BaseException) -> bool:
     """Tell what a user can mend from what is a bug in this program."""
-    if isinstance(error, CommandError | ValueError | OSError | MemoryError):
+    if isinstance(error, CommandError | JaxblurIOError | ValueError | OSError | MemoryError):
         return True
-    if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error):
-        return True
-    # Late, because it loads the image library.
-    from jaxblur.exr import JaxblurIOError
-
-    return isinstance(error, JaxblurIOError)
+    return isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
 
 
 def message_of(error: BaseException) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jaxblur
-from jaxblur.text import one_line
+from jaxblur._util.text import one_line
 
 from . import bench, blur, demo, fit, info, report, scene, vectors
 from .arguments import Parser, in_option_names

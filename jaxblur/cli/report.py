@@ -5,6 +5,8 @@ import logging
 import pathlib
 from typing import Any
 
+from jaxblur._util.atomic import replacing
+
 from .arguments import (
     CommandError,
     add_command,
@@ -64,7 +66,6 @@ def write_page(folder: pathlib.Path, output: pathlib.Path, max_megabytes: float 
         output: HTML file to write.
         max_megabytes: largest size.
     """
-    from jaxblur.exr.atomic import replacing
     from jaxblur.report import build_page, read_result
 
     page = build_page(read_result(folder), max_megabytes)

@@ -83,7 +83,7 @@ def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
     import numpy as np
 
     from jaxblur.frame import Frame
-    from jaxblur.sky import turning_sky
+    from jaxblur.vectors.sky import turning_sky
 
     frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
     turned = turning_sky(frame)

@@ -1,5 +1,7 @@
 """Read and write frames as image files, through OpenImageIO.
 
+Imports nothing of jaxblur but `_util`, `frame`, `nonfinite`, `srgb` and `vectors`.
+
 `read_frame` returns a frame for the filters, in the conventions of `jaxblur.frame`, whatever
 renderer wrote the file: channels are recognized by name, motion vectors are converted by the
 presets of `jaxblur.vectors`, background depth becomes ``+inf``. Values are checked when they are
@@ -19,6 +21,7 @@ Pixels are those of the data window: overscan is filtered and written like the r
 and, where there is alpha, premultiplied; it is neither clipped nor converted.
 """
 
+from .._util.errors import JaxblurIOError as JaxblurIOError
 from .choose import (
     ColorGroup as ColorGroup,
     choose_color as choose_color,
@@ -28,7 +31,6 @@ from .choose import (
 from .files import (
     Channel as Channel,
     FileInfo as FileInfo,
-    JaxblurIOError as JaxblurIOError,
     JaxblurIOWarning as JaxblurIOWarning,
     Part as Part,
     inspect as inspect,

@@ -4,8 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 from jaxblur import vectors
+from jaxblur._util.errors import JaxblurIOError
 
-from .files import FileInfo, JaxblurIOError
+from .files import FileInfo
 
 # Names of layers that hold the picture, the clearest first; the empty name is the root layer.
 COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "finalimage")

@@ -11,9 +11,7 @@ import numpy as np
 import OpenImageIO as oiio
 from jaxtyping import Float
 
-from jaxblur.text import one_line, printable
-
-PathLike = str | os.PathLike[str]
+from jaxblur._util.errors import JaxblurIOError, PathLike
 
 EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
 IMAGE_SIZE_LIMIT_MB = 4096
@@ -24,25 +22,6 @@ LARGEST_EXPANSION = {
 }
 # Constant pictures shrink to 1 in 21,500 with dwab.
 UNKNOWN_EXPANSION = 200_000
-
-
-class JaxblurIOError(Exception):
-    """A file could not be read or written; the message is one line: file, problem, remedy.
-
-    Names in the message come from files, so characters that are not printable are escaped.
-
-    Attributes:
-        path: the file.
-        reason: problem and remedy.
-    """
-
-    def __init__(self, path: PathLike, reason: str):
-        self.path = os.fspath(path)
-        self.reason = one_line(reason)
-        super().__init__(f"{printable(self.path)}: {self.reason}")
-
-    def __reduce__(self) -> tuple[type, tuple[str, str]]:
-        return type(self), (self.path, self.reason)
 
 
 class JaxblurIOWarning(UserWarning):

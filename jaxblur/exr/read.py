@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxblur import srgb, vectors
+from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
 
 from .checks import check_speed, refuse, refuse_or_zero, warn_lossy, without_depth
 from .choose import ColorGroup, choose_color, choose_depth, choose_vectors, is_depth
 from .files import (
     FileInfo,
-    JaxblurIOError,
     JaxblurIOWarning,
-    PathLike,
     inspect,
     read_channels,
 )

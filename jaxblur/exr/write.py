@@ -12,21 +12,21 @@ import OpenImageIO as oiio
 from jaxtyping import Float
 
 from jaxblur import srgb, vectors
-from jaxblur.text import printable
+from jaxblur._util.atomic import replacing
+from jaxblur._util.errors import JaxblurIOError, PathLike
+from jaxblur._util.text import printable
 
-from .atomic import check, replacing, writer
 from .choose import choose_color, is_depth
 from .files import (
     FileInfo,
-    JaxblurIOError,
     JaxblurIOWarning,
-    PathLike,
     describe,
     open_input,
     pending_message,
     read_span,
 )
 from .header import relabel_as_uint
+from .output import check, writer
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame

@@ -1,5 +1,7 @@
 """Filters, all with one signature; `FILTERS` holds them by name, `filter_info` describes each.
 
+Imports nothing of jaxblur but `frame`, `kernels`, `noise`, `safe_math` and `settings`.
+
     filter(frame, parameters, *, settings, noise=None) -> (H, W, C)
 
 The functions load on first use; the registry and the records of parameters load no jax.

@@ -91,16 +91,35 @@ class Images(NamedTuple):
 
 
 class Scalars(NamedTuple):
-    """Numbers of passes 4 to 10.
+    """Numbers of passes 4 to 11.
 
     Attributes:
-        parameters: of the filter.
+        kappa: as in `GuertinParameters`.
+        gamma: as in `GuertinParameters`.
+        tau: as in `GuertinParameters`; without derivative where a tile is drawn.
+        jitter: largest jitter of the samples, in spacings, ``eta phi / N``.
+        depth_sharpness: as in `GuertinParameters`.
         choice: number of the tile that a pixel reads under ``tile_choice="expected"``: 0 its own,
             1 the neighbor along x, 2 the neighbor along y; else None.
     """
 
-    parameters: GuertinParameters
+    kappa: Array
+    gamma: Array
+    tau: Array
+    jitter: Array
+    depth_sharpness: Array
     choice: Array | None
+
+    @classmethod
+    def of(
+        cls, parameters: GuertinParameters, settings: GuertinSettings, choice: Array | None = None
+    ) -> "Scalars":
+        """The numbers that the passes use, of parameters that are arrays."""
+        values = {name: jnp.asarray(value) for name, value in vars(parameters).items()}
+        eta, phi = values.pop("eta"), values.pop("phi")
+        if settings.tile_choice == "stochastic":
+            values["tau"] = lax.stop_gradient(values["tau"])
+        return cls(jitter=eta * phi / settings.samples, choice=choice, **values)
 
 
 class Sums(NamedTuple):
@@ -129,7 +148,6 @@ def clamp_motion(at: At, images: Buffers, _: None, settings: GuertinSettings) ->
 
 def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettings) -> Outcome:
     """Passes 4 to 10: the program of Annexe I."""
-    parameters = scalars.parameters
     pixel = Motion(*images.motion.here())
 
     # Pass 4: the dominant velocity of one tile. Pass 5: nothing to do where it is short.
@@ -138,9 +156,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     moves = reach > SPEED_FLOOR
 
     # Pass 6: w_m along the dominant velocity, w_c along the pixel's own.
-    along, center = two_directions(
-        (pixel.x, pixel.y), pixel.inverse_speed, dominant, parameters.gamma
-    )
+    along, center = two_directions((pixel.x, pixel.y), pixel.inverse_speed, dominant, scalars.gamma)
 
     # Passes 7 and 8: samples, every other one along w_c.
     limit = path_samples(reach, settings)
@@ -148,7 +164,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     jitter = jnp.zeros_like(reach)
     if images.tap_noise is not None:
         (noise,) = images.tap_noise.here()
-        jitter = noise * (parameters.eta * parameters.phi / settings.samples)
+        jitter = noise * scalars.jitter
     share = None
     if images.variance is not None:
         (share,) = read_between_tiles(at, images.variance, settings.radius)
@@ -171,7 +187,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
 
         # f cone(T, |vs|) wB + b cone(T, |vc|) wA + 2 cylinder(T, min(|vs|, |vc|)) max(wA, wB)
         distance = jnp.abs(position)
-        front, back = relative_closeness(other.depth, pixel.depth, parameters.depth_sharpness)
+        front, back = relative_closeness(other.depth, pixel.depth, scalars.depth_sharpness)
         slower = jnp.maximum(other.inverse_speed, pixel.inverse_speed)
         weight = (
             front * cone(distance, other.inverse_speed) * along_other
@@ -187,7 +203,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     sums = sum_over(settings.samples, sample, limit)
 
     # Pass 9: the pixel itself weighs N / (kappa |vc|), N the samples that counted (pass 10).
-    center_weight = sums.count * pixel.inverse_speed / parameters.kappa
+    center_weight = sums.count * pixel.inverse_speed / scalars.kappa
     sharp = sums.count == 0
     inverse = 1 / jnp.where(sharp, 1, sums.weight + center_weight)
     center_share = center_weight * inverse
@@ -205,9 +221,8 @@ def read_tile(
     if scalars.choice is not None:
         return chosen_tile(at, scalars.choice, settings.radius, images.dominant)
     if settings.tile_choice == "stochastic" and images.tile_noise is not None:
-        tau = lax.stop_gradient(scalars.parameters.tau)
         noise = images.tile_noise.here()
-        return drawn_tile(at, (noise[0], noise[1]), tau, settings.radius, images.dominant)
+        return drawn_tile(at, (noise[0], noise[1]), scalars.tau, settings.radius, images.dominant)
     return own_tile(at, settings.radius)
 
 
@@ -291,7 +306,7 @@ def hint_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     choices = [scalars.choice]
     if settings.tile_choice == "expected":
         choices = [jnp.float32(k) for k in range(3)]
-        chances = chances_of_tiles(at, scalars.parameters.tau, settings.radius, images.dominant)
+        chances = chances_of_tiles(at, scalars.tau, settings.radius, images.dominant)
     else:
         chances = [jnp.float32(1)]
     blurred = jnp.zeros((), bool)
@@ -349,7 +364,7 @@ def _blur(
     height, width = frame.depth.shape
 
     def of_choice(choice: Array | None) -> jax.Array:
-        scalars = Scalars(parameters, choice)
+        scalars = Scalars.of(parameters, settings, choice)
         return each_pixel(
             *(blur_pixel, (height, width), images, scalars, settings),
             kept=frame.color,
@@ -547,7 +562,7 @@ def _hint(
 ) -> jax.Array:
     frame, parameters = checked_inputs(frame, parameters)
     height, width = frame.depth.shape
-    images, scalars = prepare_images(frame, settings, noise), Scalars(parameters, None)
+    images, scalars = prepare_images(frame, settings, noise), Scalars.of(parameters, settings)
     hint = each_pixel(
         hint_pixel, (height, width), images, scalars, settings, backend=settings.backend
     )

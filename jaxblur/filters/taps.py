@@ -94,11 +94,12 @@ def _taps_at(
     frame, parameters = checked_inputs(frame, parameters)
     images = prepare_images(frame, settings, noise)
     at, count = At(row, column), settings.samples
+    scalars = Scalars.of(parameters, settings)
     pixel = Motion(*images.motion.read(row, column))
     jitter = jnp.zeros_like(pixel.x)
     if images.tap_noise is not None and images.tile_noise is not None:
         (tap_noise,) = images.tap_noise.read(row, column)
-        jitter = tap_noise * (parameters.eta * parameters.phi / count)
+        jitter = tap_noise * scalars.jitter
         images = images._replace(tile_noise=images.tile_noise.at(at))
     share = None
     if images.variance is not None:
@@ -109,13 +110,13 @@ def _taps_at(
     chances: tuple[jax.Array, ...] = (jnp.ones(()),)
     if settings.tile_choice == "expected":
         choices = [jnp.float32(k) for k in range(3)]
-        chances = chances_of_tiles(at, parameters.tau, settings.radius, images.dominant)
+        chances = chances_of_tiles(at, scalars.tau, settings.radius, images.dominant)
 
     def of_choice(choice: jax.Array | None) -> tuple[jax.Array, ...]:
-        tile = read_tile(at, images, Scalars(parameters, choice), settings)
+        tile = read_tile(at, images, scalars._replace(choice=choice), settings)
         dominant = images.dominant.read(*tile)
         directions = two_directions(
-            (pixel.x, pixel.y), pixel.inverse_speed, dominant, parameters.gamma
+            (pixel.x, pixel.y), pixel.inverse_speed, dominant, scalars.gamma
         )
         along, center = (jnp.stack(direction) for direction in directions)
         position = tap_position(index, count, jitter) * safe_norm(*dominant)

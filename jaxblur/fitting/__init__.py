@@ -1,5 +1,8 @@
 """Fit the parameters of the filters to frames whose true motion blur is known.
 
+Imports nothing of jaxblur but `_util`, `batch`, `exr`, `filters`, `frame`, `metrics`, `noise`,
+`settings`, `show` and `vectors`.
+
     result = jaxblur.fit("guertin2014", pairs, free=("kappa", "gamma"), holdout=(3,))
     result.save("fitted.toml")
     blurred = jaxblur.guertin2014(frame, result.filter_parameters)

@@ -15,7 +15,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from ..exr.atomic import replacing
+from .._util.atomic import replacing
 from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
 

@@ -15,6 +15,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from .._util.atomic import replacing
 from ..filters.registry import filter_info
 from ..settings import GuertinSettings, Settings
 
@@ -166,8 +167,6 @@ class FitResult:
         Raises:
             JaxblurIOError: it cannot be written.
         """
-        from ..exr.atomic import replacing
-
         with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
             file.write(to_toml({"schema": SCHEMA} | dataclasses.asdict(self)))
 

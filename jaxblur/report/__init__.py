@@ -1,5 +1,7 @@
 """Result folders on disk, and the report page: one HTML file that needs no network.
 
+Imports nothing of jaxblur but `_util`, `exr` and `metrics`.
+
 Commands and experiments store pictures with their scores through `write_result`; `read_result` and
 `build_page` make the page of ``jaxblur report`` from such a folder.
 """

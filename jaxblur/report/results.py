@@ -35,8 +35,9 @@ import numpy as np
 
 import jaxblur
 
-from ..exr import JaxblurIOError, read_image, write_image
-from ..exr.atomic import replacing
+from .._util.atomic import replacing
+from .._util.errors import JaxblurIOError
+from ..exr import read_image, write_image
 
 SCHEMA = 1
 MANIFEST = "result.json"

@@ -1,7 +1,7 @@
 """Ground truth: scenes with exact buffers, and the true motion-blurred image.
 
-From the rest of the package it imports only the frame and the sRGB curve, so that ground truth
-shares no code with the filters that it judges.
+Imports nothing of jaxblur but `frame` and `srgb`, so that ground truth shares no code with the
+filters that it judges.
 """
 
 from .accumulation import accumulate as accumulate

@@ -1,5 +1,7 @@
 """Sequences of frames: file names, plans, and execution in one or many processes.
 
+Imports nothing of jaxblur but `exr`.
+
 A sequence is a list of `Job`, one per frame. Before any work, `plan_jobs` chooses the action for
 each frame from the files on disk: outputs carry a digest of all choices that made them (`digest`),
 so that a run that was interrupted at any moment continues where it stopped, and never mistakes

@@ -1,5 +1,8 @@
 """Drawing: buffers, tiles, taps, errors, speed against error.
 
+Imports nothing of jaxblur but `_util`, `filters`, `frame`, `metrics`, `noise`, `safe_math` and
+`settings`.
+
 Every function returns a matplotlib figure that belongs to no window and to no global state: save it
 with ``figure.savefig(path)``, or make it the last line of a notebook cell. If ``axes`` are passed,
 a function draws there and returns their figure. This needs the extra ``jaxblur[plot]``; matplotlib

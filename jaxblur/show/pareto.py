@@ -1,10 +1,10 @@
 """Plots of speed against error, to choose settings that are worth their time."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from .._util.pareto import Measurement, pareto_front
 from .figures import figure_and_axes
 
 if TYPE_CHECKING:
@@ -15,49 +15,6 @@ POINTS = 72
 """Typographic points per inch; the unit of label sizes."""
 LABEL_WIDTH, LABEL_HEIGHT = 3.6, 8
 """Width and height of a character in a label, points."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Measurement:
-    """The time and the error of one run.
-
-    Attributes:
-        label: short text next to the point.
-        time: above 0, such as milliseconds.
-        error: above 0, less is better, such as FLIP.
-        group: points of one group share a color; for example the name of the filter.
-        published: whether the settings are those of the authors; drawn as a star.
-        time_range: (low, high) of the time, such as a confidence interval, or None.
-        error_range: (low, high) of the error, or None.
-    """
-
-    label: str
-    time: float
-    error: float
-    group: str = ""
-    published: bool = False
-    time_range: tuple[float, float] | None = None
-    error_range: tuple[float, float] | None = None
-
-
-def pareto_front(points: Sequence[Measurement]) -> list[Measurement]:
-    """Find the Pareto front: the points that no other point beats in both time and error.
-
-    Args:
-        points: in any order. Of points that are equal in both, the first is kept.
-
-    Returns:
-        From fast to accurate: time strictly rises and error strictly falls.
-
-    >>> slow, fast = Measurement("slow", 2.0, 0.1), Measurement("fast", 1.0, 0.2)
-    >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), fast])]
-    ['fast', 'slow']
-    """
-    front: list[Measurement] = []
-    for point in sorted(points, key=lambda point: (point.time, point.error)):
-        if not front or point.error < front[-1].error:
-            front.append(point)
-    return front
 
 
 def pareto(

@@ -1,5 +1,8 @@
 """Motion-vector conventions: recognize them, convert them, measure them.
 
+Imports nothing of jaxblur but `frame` and `safe_math`, both in `vectors.sky` and
+`vectors.encoding`, which alone load jax.
+
 Every renderer stores motion vectors in its own way: channels, axes, signs, units and time spans
 differ. Here a convention is data (`PRESETS`), and all are converted to one:
 

@@ -15,7 +15,7 @@ import threading
 
 import jax
 
-from ...folders import cache_folder
+from ..._util.cache import cache_folder
 
 LOG = logging.getLogger("jaxblur")
 FLAGS = (

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from . import exr, metrics, srgb
-from .metrics import Image
+from jaxblur import exr, metrics, srgb
+from jaxblur.metrics import Image
 
 SEPARATOR = 4
 SEPARATOR_DISPLAY_VALUE = 0.5

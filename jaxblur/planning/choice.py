@@ -5,7 +5,7 @@ linear rule for each candidate and number of samples,
 
     loss = c0 + c1 angular_variance + c2 layered_tiles + c3 log2(fast_speed)        [dB]
 
-with constants from experiments/005_what_a_scene_needs, stored in ``planning_constants.json`` with
+with constants from experiments/005_what_a_scene_needs, stored in ``constants.json`` with
 the command that made them, the scenes, and the error of the rule on scenes left out. A loss is a
 difference of PSNR over the pixels that motion reaches, after the display transform, against
 `layered` at 35 samples.
@@ -19,57 +19,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import numpy as np
-from jaxtyping import Float
 
-from .filters.registry import filter_info
-from .filters.tiles import fastest_pixels, tile_max, tile_variance
-from .frame import Frame, check_frame
-from .settings import Settings
-from .vectors import speed_statistics
+from ..filters.registry import filter_info
+from ..frame import Frame
+from ..settings import Settings
+from .statistics import FrameStatistics, frame_statistics
 
-MOVING = 0.5
-"""Half-spread in pixels above which the filters blur."""
-DIFFERENT = 1.0
-"""Pixels by which half-spreads in a tile must differ for its depths to matter."""
-LAYERED = 1.1
-"""Ratio of depths that makes two layers."""
 DEFAULT_TOLERANCE = 0.5
-
-
-@dataclasses.dataclass(frozen=True)
-class FrameStatistics:
-    """What `plan` knows of a frame; tiles are squares of ``radius`` pixels.
-
-    Attributes:
-        pixels: of the frame.
-        median_speed: half-spread in pixels that half of the pixels reach.
-        fast_speed: half-spread in pixels that one pixel in a hundred exceeds.
-        radius: the largest half-spread in pixels, rounded up.
-        moving_tiles: share of tiles with a half-spread above half a pixel.
-        angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1.
-        layered_tiles: share of the moving tiles in which something moves otherwise than the
-            fastest point, and in another depth.
-    """
-
-    pixels: int
-    median_speed: float
-    fast_speed: float
-    radius: int
-    moving_tiles: float
-    angular_variance: float
-    layered_tiles: float
-
-    @property
-    def features(self) -> Float[np.ndarray, " features"]:
-        """What the linear rules multiply: one, variance, layers, logarithm of speed."""
-        speed = math.log2(max(self.fast_speed, MOVING))
-        return np.array([1.0, self.angular_variance, self.layered_tiles, speed])
-
-    @property
-    def moves(self) -> bool:
-        """Whether any filter would change the frame."""
-        return self.moving_tiles > 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +53,7 @@ class Plan:
     spread: float
     milliseconds: float
 
-    def __call__(self, frame: Frame) -> Any:
+    def __call__(self, frame: Frame) -> jax.Array:
         """Blur a frame as planned: (H, W, C) linear light."""
         return filter_info(self.filter).call(frame, self.parameters, settings=self.settings)
 
@@ -120,66 +78,8 @@ def constants() -> dict[str, Any]:
     Returns:
         ``command``, ``scenes``, ``machine``, and ``candidates`` by label.
     """
-    text = importlib.resources.files("jaxblur").joinpath("planning_constants.json").read_text()
+    text = importlib.resources.files(__package__).joinpath("constants.json").read_text()
     return json.loads(text)
-
-
-def frame_statistics(frame: Frame) -> FrameStatistics:
-    """Measure what `plan` needs to know of a frame.
-
-    Args:
-        frame: depth (H, W) and velocity (H, W, 2) half-spread in pixels are looked at.
-
-    Returns:
-        The statistics.
-
-    Raises:
-        ValueError: shapes disagree, or a velocity is NaN or infinite.
-    """
-    frame = check_frame(frame)
-    velocity, depth = np.asarray(frame.velocity), np.asarray(frame.depth)
-    speeds = speed_statistics(velocity)
-    if speeds.non_finite_share > 0:
-        raise ValueError(
-            f"`frame.velocity` must be finite, got NaN or infinity in "
-            f"{100 * speeds.non_finite_share:.3g} % of the pixels; repair the vectors first."
-        )
-    radius = speeds.suggested_radius
-    tiles = np.asarray(tile_max(velocity, radius))
-    moving = _speed(tiles) > MOVING
-    return FrameStatistics(
-        pixels=depth.size,
-        median_speed=speeds.percentiles[50.0],
-        fast_speed=speeds.percentiles[99.0],
-        radius=radius,
-        moving_tiles=float(moving.mean()),
-        angular_variance=_mean_where(moving, tile_variance(tiles)),
-        layered_tiles=_mean_where(moving, _layered(velocity, depth, radius)),
-    )
-
-
-def _speed(velocity: np.ndarray) -> np.ndarray:
-    return np.hypot(velocity[..., 0], velocity[..., 1])
-
-
-def _mean_where(chosen: np.ndarray, values: Any) -> float:
-    return float(np.mean(values, where=chosen)) if chosen.any() else 0.0
-
-
-def _layered(velocity: np.ndarray, depth: np.ndarray, radius: int) -> np.ndarray:
-    """Whether a tile holds a pixel that differs from its fastest one in velocity and depth."""
-    height, width = depth.shape
-    # The velocity and depth of the fastest pixel of its tile, for every pixel.
-    found = np.asarray(fastest_pixels(velocity, radius))
-    found = found.repeat(radius, axis=0).repeat(radius, axis=1)[:height, :width]
-    row, column = found[..., 0], found[..., 1]
-    away = _speed(velocity - velocity[row, column]) > DIFFERENT
-    other = depth[row, column]
-    # Sky is as deep as sky: infinity does not exceed infinity.
-    apart = np.maximum(depth, other) > LAYERED * np.minimum(depth, other)
-    marked = np.pad(away & apart, ((0, -height % radius), (0, -width % radius)))
-    rows, columns = marked.shape[0] // radius, marked.shape[1] // radius
-    return np.any(marked.reshape(rows, radius, columns, radius), axis=(1, 3))
 
 
 def plan(

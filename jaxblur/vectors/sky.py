@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .frame import Frame, check_frame
+from ..frame import Frame, check_frame
 
 UNKNOWNS, TURN = 8, 5
 STEP = 3

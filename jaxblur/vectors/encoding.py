@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, UInt8
 
-from .safe_math import clamp_speed
+from ..safe_math import clamp_speed
 
 LEVELS, REST = 127, 128
 """Number of steps on either side of rest, and the integer for rest. Zero is decoded
