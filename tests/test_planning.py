@@ -89,7 +89,7 @@ def test_tiles_at_the_edge_may_be_ragged():
     assert found.layered_tiles == 0
 
 
-def test_a_still_frame_comes_back_to_the_bit_by_the_quickest_filter():
+def test_a_still_frame_comes_back_to_the_bit_by_the_fastest_filter():
     frame = frame_of([0.0, 0.25])
     chosen = plan(frame)
     assert chosen.filter == "pixel_velocity" and chosen.loss == chosen.spread == 0

@@ -91,15 +91,15 @@ def plan(
 ) -> Plan:
     """Choose filter, settings and parameters for a frame from its statistics alone.
 
-    With a tolerance: the quickest candidate whose expected loss, plus the standard error of that
+    With a tolerance: the fastest candidate whose expected loss, plus the standard error of that
     expectation, is within it. With a budget alone: the candidate of least expected loss that is
-    quick enough. With both: the quickest within both. With neither the tolerance is 0.5 dB.
+    fast enough. With both: the fastest within both. With neither the tolerance is 0.5 dB.
 
     Args:
         frame_or_statistics: a frame, or what `frame_statistics` says of it.
         budget_ms: time for the frame in milliseconds.
         tolerance_db: PSNR that may be lost against the full filter, over what moves, >= 0 dB.
-        machine_speed: how many times as quick this machine is as the one of the constants.
+        machine_speed: how many times as fast this machine is as that of the constants.
 
     Returns:
         The plan; call it with the frame.
@@ -133,7 +133,7 @@ def plan(
         why = f"of those within {budget_ms:g} ms it is expected to lose least"
     else:
         chosen = min(allowed, key=lambda c: (c.milliseconds, c.safe_loss))
-        why = f"it is the quickest expected to stay within {tolerance_db:g} dB"
+        why = f"it is the fastest expected to stay within {tolerance_db:g} dB"
     return _make_plan(chosen, statistics, _reason(chosen, statistics, why))
 
 
@@ -163,11 +163,11 @@ def _predict(statistics: FrameStatistics, machine_speed: float) -> list[_Candida
 
 
 def _nothing_moves(statistics: FrameStatistics, candidates: list[_Candidate]) -> Plan:
-    quickest = min(candidates, key=lambda candidate: candidate.milliseconds)
-    still = dataclasses.replace(quickest, loss=0.0, spread=0.0)
+    fastest = min(candidates, key=lambda candidate: candidate.milliseconds)
+    still = dataclasses.replace(fastest, loss=0.0, spread=0.0)
     reason = (
-        f"{quickest.label}: nothing moves by more than half a pixel, so that every filter returns "
-        "the frame as it is, and this one is the quickest."
+        f"{fastest.label}: nothing moves by more than half a pixel, so that every filter returns "
+        "the frame as it is, and this one is the fastest."
     )
     return _make_plan(still, statistics, reason)
 
@@ -194,11 +194,11 @@ def _reason(chosen: _Candidate, statistics: FrameStatistics, why: str) -> str:
 def _refusal(
     candidates: list[_Candidate], budget_ms: float | None, tolerance_db: float | None
 ) -> str:
-    quickest = min(candidates, key=lambda candidate: candidate.milliseconds)
+    fastest = min(candidates, key=lambda candidate: candidate.milliseconds)
     if tolerance_db is None:
         return (
-            f"`budget_ms` must be at least {quickest.milliseconds:.3g} for this frame, got "
-            f"{budget_ms:g}; blur a smaller frame, or say how quick this machine is."
+            f"`budget_ms` must be at least {fastest.milliseconds:.3g} for this frame, got "
+            f"{budget_ms:g}; blur a smaller frame, or say how fast this machine is."
         )
     kept = [c.milliseconds for c in candidates if c.safe_loss <= tolerance_db]
     return (
