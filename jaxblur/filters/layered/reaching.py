@@ -1,4 +1,4 @@
-"""Passes 2 to 4 of `layered`: the two motions that matter in each tile of a fine grid.
+"""Passes L2 and L3 of `layered`: the two motions that matter in each tile of a fine grid.
 
 Every fine tile draws its fastest velocity as a line, over all tiles that the line crosses. A tile
 keeps two of the lines that cross it: the fastest, and the one most unlike that. Lines are as long
@@ -79,7 +79,7 @@ class Lines(NamedTuple):
 
 
 def compare_pixels(at: At, images: MotionImage, _: None, radius: int) -> Outcome:
-    """Pass 2, the keys of a tile's maxima: squared speed (clamped vectors tie), and depth."""
+    """Pass L2, the keys of a tile's maxima: squared speed (clamped vectors tie), and depth."""
     x, y, depth, _taken = images.motion.here()
     return Outcome((_at_most(radius**2, jnp.square(x) + jnp.square(y)), depth))
 
@@ -90,13 +90,14 @@ def _at_most(most: int, value: jax.Array) -> jax.Array:
 
 
 def draw_lines(at: At, images: Lines, _: None, radius: int) -> Outcome:
-    """Passes 3 and 4: a line leaves its score in the tiles under its four corners, both ways.
+    """Pass L3: a line leaves its score in the tiles under its four corners, both ways.
 
     A mark holds the score and how far up and to the left the line begins, so that of equal ones the
     first line leaves the largest; 0 means none. Corners are as wide apart as a tile.
 
-    Pass 3 scores the speed, and lines in front of everything in the tile first. Pass 4 scores the
-    difference to the tile's first line, ``min(||u||, ||u - v||)``, and lines in front first.
+    The first round scores the speed, and lines in front of everything in the tile first. The second
+    scores the difference to the tile's first line, ``min(||u||, ||u - v||)``, and lines in front
+    first.
     """
     size, reach = fine_tile(radius), _reach(radius)
     span, levels = 2 * reach + 1, _levels(radius)

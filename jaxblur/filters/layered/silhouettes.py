@@ -1,4 +1,4 @@
-"""Pass 1 of `layered`: the motion of every pixel, cleaned of mixtures at silhouettes.
+"""Pass L1 of `layered`: the motion of every pixel, cleaned of mixtures at silhouettes.
 
 A renderer that averages vectors over a pixel, as Blender does, gives pixels on a silhouette a
 velocity between that of the object and that of the background, although nothing moves that way.

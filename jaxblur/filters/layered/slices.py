@@ -45,7 +45,7 @@ Vector = tuple[Float[Array, "*a"], Float[Array, "*a"]]
 
 
 class Images(NamedTuple):
-    """Images of pass 5.
+    """Images of passes L4 to L9.
 
     Attributes:
         color: (H, W, C).
@@ -108,7 +108,8 @@ class Sums(NamedTuple):
 def blur_pixel(
     at: At, images: Images, parameters: LayeredParameters, settings: Settings
 ) -> Outcome:
-    """Pass 5: the mean over the slices of time."""
+    """Passes L4 to L9: the mean over the slices of time."""
+    # L4: nothing to do where the pixel does not move and no velocity reaches its tile.
     pixel = Motion(*images.motion.here())
     x, y = pixel.x, pixel.y
     squared = jnp.square(x) + jnp.square(y)
@@ -116,7 +117,7 @@ def blur_pixel(
     velocities = images.others.read(*tile)
     reached = functools.reduce(jnp.logical_or, [part != 0 for part in velocities])
 
-    # The three ways: the pixel's own, and the two of the tile as far as they differ from it.
+    # L5: the pixel's own way, and the two of the tile as far as they differ from it.
     half = half_acceleration(at, images.path, pixel.taken_from, settings.radius)
     turn = turn_along(at, images.motion, pixel, parameters.surface_sharpness)
     others = [
@@ -126,6 +127,7 @@ def blur_pixel(
     for _, own in others:
         moving = moving | (own < 1)
 
+    # L6: slices, in each of which every way is guessed along once.
     longest = squared
     for (other_x, other_y), _ in others:
         longest = jnp.maximum(longest, jnp.square(other_x) + jnp.square(other_y))
@@ -150,7 +152,7 @@ def blur_pixel(
         read_x, read_y, depth = images.motion.read_texel(texel.number, 3)
         apart_x, apart_y = read_x - way_x + time * turn_x, read_y - way_y + time * turn_y
         apart = jnp.square(apart_x) + jnp.square(apart_y)
-        # It lands if it hardly misses the pixel, or is of the pixel's surface: if neither its
+        # L7: it lands if it hardly misses the pixel, or is of the pixel's surface: if neither its
         # velocity nor its depth differs. Where two of these are equal the derivative is that of
         # one.
         hits = 1.5 - time_squared * apart * inverse_tolerance
@@ -173,6 +175,7 @@ def blur_pixel(
             make_guess(time, way, mixes)
             for time, way, mixes in zip(times, ways, interpolates, strict=True)
         ]
+        # L8: the nearest of the guesses that have landed hides the others.
         shares, empty = visible_shares(guesses, [way.own for way in ways], front)
         landed = list(shares)
         # Where nothing has landed: the guess along the own velocity, if it lies behind.
@@ -195,6 +198,7 @@ def blur_pixel(
         return Sums(tuple(chosen), jnp.where(known, 1, weight))
 
     sums = sum_over(slices.samples, slice_of_time, limit)
+    # L9: the mean, or the pixel's own color where nothing is known.
     blurs = moving & (sums.weight > SMALLEST_WEIGHT)
     inverse = 1 / jnp.where(blurs, sums.weight, 1)
     blurred = [
@@ -321,7 +325,7 @@ def turn_along(at: At, motion: Image, pixel: Motion, sharpness: float | Array) -
 def _reaching_velocities(
     motion: Float[Array, "height width 4"], settings: Settings
 ) -> Float[Array, "rows columns 4"]:
-    """The two velocities that matter in each fine tile (passes 2 to 4); 0 for none."""
+    """The two velocities that matter in each fine tile (passes L2 and L3); 0 for none."""
     pixels = reaching_pixels(motion, settings.radius, settings.backend)
     vectors = motion.reshape(-1, motion.shape[-1])[pixels, :2]
     vectors = jnp.where((pixels >= 0)[..., None], vectors, 0)
