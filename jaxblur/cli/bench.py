@@ -256,13 +256,11 @@ def _file_subject(
     arguments: argparse.Namespace, path: pathlib.Path, truth: pathlib.Path | None
 ) -> Any:
     from jaxblur import bench
-    from jaxblur.frame import Frame
 
     named = argparse.Namespace(**vars(arguments) | {"input": path, "truth": truth})
     loaded = stages.load(named, Settings())
     buffers = loaded.buffers
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path, buffers.valid)
-    return bench.frame_subject(path.name, frame, loaded.truth, arguments.shutter)
+    return bench.frame_subject(path.name, buffers.frame(), loaded.truth, arguments.shutter)
 
 
 def _cases(arguments: argparse.Namespace) -> list[Any]:

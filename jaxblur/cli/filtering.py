@@ -255,7 +255,7 @@ def apply_filter(
     from jaxblur.frame import Frame
 
     info = filter_info(name)
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path, buffers.valid)
+    frame = buffers if isinstance(buffers, Frame) else buffers.frame()
     settings = checked_settings(settings, info.kind, info.name)
     return np.asarray(info.call(frame, info.make_parameters(**parameters), settings=settings))
 

@@ -146,12 +146,11 @@ def run(arguments: argparse.Namespace) -> int:
     import jax
 
     from jaxblur.fitting import fit
-    from jaxblur.frame import Frame
 
     with _progress(arguments.steps) as callback:
         result = fit(
             name,
-            [(Frame(b.color, b.depth, b.velocity, b.path), truth) for b, truth in pairs],
+            [(buffers.frame(), truth) for buffers, truth in pairs],
             initial=parameters,
             free=arguments.free,
             loss=arguments.loss,

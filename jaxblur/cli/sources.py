@@ -82,10 +82,9 @@ def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
     """Give the sky the velocity of the camera's turn, and say whether it has one."""
     import numpy as np
 
-    from jaxblur.frame import Frame
     from jaxblur.vectors.sky import turning_sky
 
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity, buffers.path)
+    frame = buffers.frame()
     turned = turning_sky(frame)
     if turned is frame:
         LOG.info("sky: %s: as in the file; no turn of the camera was found", path)

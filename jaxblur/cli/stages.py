@@ -270,12 +270,10 @@ def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
 
 def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:
     """Choose by the frame what `complete` takes from the options, and say why."""
-    from jaxblur.frame import Frame
     from jaxblur.planning import plan
 
-    frame = Frame(buffers.color, buffers.depth, buffers.velocity)
     try:
-        chosen = plan(frame, arguments.budget, arguments.tolerance)
+        chosen = plan(buffers.frame(), arguments.budget, arguments.tolerance)
     except ValueError as error:
         raise CommandError(f"--plan auto: {error}") from error
     LOG.info("plan: %s", chosen.reason)

@@ -58,6 +58,21 @@ class Buffers:
     valid: Bool[np.ndarray, "height width"] | None = None
     ignored: Ignored = NONE_IGNORED
 
+    def frame(self) -> "Frame":
+        """The buffers as a `jaxblur.Frame` of JAX arrays."""
+        # Imported late, so that listings and path errors do not load jax.
+        import jax.numpy as jnp
+
+        from jaxblur.frame import Frame
+
+        return Frame(
+            color=jnp.asarray(self.color),
+            depth=jnp.asarray(self.depth),
+            velocity=jnp.asarray(self.velocity),
+            path=None if self.path is None else jnp.asarray(self.path),
+            valid=None if self.valid is None else jnp.asarray(self.valid),
+        )
+
 
 class ReadOptions(TypedDict, total=False):
     """Keyword arguments of `read_buffers`, which documents them and their defaults."""
@@ -92,19 +107,7 @@ def read_frame(
         JaxblurIOError: as for `read_buffers`.
         ValueError: as for `read_buffers`.
     """
-    buffers = read_buffers(path, preset, shutter, **options)
-    # Imported late, so that listings and path errors do not load jax.
-    import jax.numpy as jnp
-
-    from jaxblur.frame import Frame
-
-    return Frame(
-        color=jnp.asarray(buffers.color),
-        depth=jnp.asarray(buffers.depth),
-        velocity=jnp.asarray(buffers.velocity),
-        path=None if buffers.path is None else jnp.asarray(buffers.path),
-        valid=None if buffers.valid is None else jnp.asarray(buffers.valid),
-    )
+    return read_buffers(path, preset, shutter, **options).frame()
 
 
 def read_buffers(
