@@ -258,7 +258,7 @@ def test_curves_and_bars_draw_their_values():
         (lambda: show.velocity_colors(np.zeros((2, 2)), 0.0), "`limit` must be above 0"),
         (lambda: show.velocity_arrows(moving_right(), spacing=0), "`spacing` must be at least 1"),
         (lambda: show.tile_velocities(moving_right(), SETTINGS, UNKNOWN), "`stage` must be"),
-        (lambda: show.texel_weights("blur", moving_right(), 0, 0), "`name` must be one of"),
+        (lambda: show.texel_weights("blur", moving_right(), 0, 0), "`filter` must be one of"),
         (lambda: show.error_map(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), kind=UNKNOWN), "`kind`"),
         (lambda: show.image_grid({}), "at least one image"),
         (lambda: show.curves({}, x="", y=""), "at least one line"),

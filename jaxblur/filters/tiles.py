@@ -5,6 +5,7 @@ maximum differentiates: its derivative is that of the vector that won. At a tie 
 wins and takes the whole derivative.
 """
 
+import functools
 from typing import Literal, NamedTuple
 
 import jax
@@ -125,6 +126,11 @@ def tile_max(velocity: ArrayLike, radius: int) -> Float[Array, "tile_rows tile_c
     velocity = _vectors("velocity", velocity)
     if radius < 1:
         raise ValueError(f"`radius` must be at least 1, got {radius}.")
+    return _tile_max(velocity, radius=radius)
+
+
+@functools.partial(jax.jit, static_argnames=("radius",))
+def _tile_max(velocity: jax.Array, radius: int) -> jax.Array:
     fastest = fastest_pixels(velocity, radius)
     return velocity[fastest[..., 0], fastest[..., 1]]
 
@@ -153,9 +159,7 @@ def speed_of(at: At, images: Velocity, _: None, __: None) -> Outcome:
     return Outcome((safe_norm(*images.velocity.here()),))
 
 
-def neighbor_max(
-    tiles: ArrayLike, diagonal: Diagonal = "reaching"
-) -> Float[Array, "rows columns 2"]:
+def neighbor_max(tiles: ArrayLike, diagonal: str = "reaching") -> Float[Array, "rows columns 2"]:
     """The velocity of largest norm in the 3 x 3 ring of each tile, "NeighborMax".
 
     ``NeighborMax[t] = vmax_{u in ring of t} TileMax[u]``
@@ -176,6 +180,11 @@ def neighbor_max(
     tiles = _vectors("tiles", tiles)
     if diagonal not in ("reaching", "all"):
         raise ValueError(f"`diagonal` must be 'reaching' or 'all', got {diagonal!r}.")
+    return _neighbor_max(tiles, diagonal=diagonal)
+
+
+@functools.partial(jax.jit, static_argnames=("diagonal",))
+def _neighbor_max(tiles: jax.Array, diagonal: Diagonal) -> jax.Array:
     speed = safe_norm(tiles[..., :1], tiles[..., 1:])
     return _ring(jnp.concatenate([tiles, speed], axis=-1), diagonal)
 
@@ -227,7 +236,11 @@ def tile_variance(tiles: ArrayLike) -> Float[Array, "rows columns"]:
     Raises:
         ValueError: the tiles have another shape.
     """
-    tiles = _vectors("tiles", tiles)
+    return _tile_variance(_vectors("tiles", tiles))
+
+
+@jax.jit
+def _tile_variance(tiles: jax.Array) -> jax.Array:
     size = tiles.shape[0], tiles.shape[1]
     return each_pixel(ring_variance, size, Tiles(Image(tiles)), None, None, backend="xla")[..., 0]
 

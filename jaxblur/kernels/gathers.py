@@ -154,6 +154,8 @@ def _by_stages(
     plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Which results are wanted (H, W, 1), and the results: one stage after the other."""
+    if stages.sample is None and plan.backend == "xla":
+        return jax.checkpoint(functools.partial(_at_once, plan, stages))(list(leaves))
     wanted, prepared = _prepared(plan, stages, leaves)
     shape = plan.grid.height, plan.grid.width, 1
     if stages.sample is None or stages.finish is None:
@@ -173,6 +175,20 @@ def _by_stages(
 
     results = jax.checkpoint(finish)(planes, prepared, list(leaves))
     return wanted, _image(shape, results)
+
+
+def _at_once(
+    plan: Plan, stages: Stages, leaves: Sequence[jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """A program without a sum on whole planes; reverse mode computes it once more."""
+    shape = plan.grid.height, plan.grid.width, 1
+    place, (local, tables) = plan.grid.place(), plan.operands(leaves)
+    wanted, found = stages.where(place, local, tables)
+    results = stages.prepare(place, local, tables, found)
+    if stages.otherwise is not None:
+        rest = stages.otherwise(place, local, tables, found)
+        results = [jnp.where(wanted, *pair) for pair in zip(results, rest, strict=True)]
+    return jnp.broadcast_to(wanted, shape), _image(shape, results)
 
 
 def _image(shape: tuple[int, int, int], planes: Sequence[jax.Array]) -> jax.Array:

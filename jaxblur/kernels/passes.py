@@ -196,12 +196,13 @@ def largest_in_tiles(
     )
     tiles = -(-size[0] // side), -(-size[1] // side)
     inputs = _Size(jnp.int32(size[0]), jnp.int32(size[1])), parameters
-    search = trace(_search_tile, images, inputs, _Search(program, side, settings))
-    _record("tiles", search)
+    search = _Search(program, side, settings)
+    if _recorded.get() is not None:
+        _record("tiles", trace(_search_tile, images, inputs, search))
     if backend == "xla" or not _all_float32(images):
         keys = trace(program, images, parameters, settings)
         return _by_windows(_run(keys, size, images, parameters, None, "xla"), side)
-    return _run(search, tiles, images, inputs, None, backend)
+    return _run(trace(_search_tile, images, inputs, search), tiles, images, inputs, None, backend)
 
 
 class _Size(NamedTuple):

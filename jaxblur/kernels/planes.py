@@ -88,7 +88,7 @@ def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
     if name in _ELEMENTWISE:
         if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
             inputs = list(jnp.broadcast_arrays(*inputs))
-        return [equation.primitive.bind(*map(jnp.asarray, inputs), **parameters)]
+        return [equation.primitive.bind(*inputs, **parameters)]
     if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
         return _loop(equation, inputs)
     return _one_by_one(equation, inputs)
