@@ -18,6 +18,8 @@ from jaxblur.exr import JaxblurIOError
 from jaxblur.vectors import speed_statistics
 from tests.helpers import random_frame
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (24, 32)
 
 

@@ -12,6 +12,8 @@ from jaxblur.cli.bench import OTHERS
 from tests.command_line import refused, run
 from tests.helpers import random_frame
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (24, 32)
 SMALL = ("--scene", "crossing", "--size", "64x36", "--truth-samples", "4", "--samples", "5,9")
 METHOD = ("--methods", "pixel_velocity,unblurred", "--repeats", "3")

@@ -10,6 +10,8 @@ from jaxblur import exr
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, write_single
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("--crop", "48x32+60+40", "--samples", "5", "--radius", "20", "--steps", "3")
 
 

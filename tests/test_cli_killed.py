@@ -12,6 +12,8 @@ import pytest
 
 from tests.command_line import run
 
+pytestmark = pytest.mark.slow
+
 kills = importlib.import_module("experiments.009_throughput.kills")
 
 FEW = ("--filter", "guertin2014", "--samples", "3", "--radius", "8")

@@ -18,6 +18,8 @@ from jaxblur.cli import sequence, stages
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
 
+pytestmark = pytest.mark.slow
+
 FRAMES = range(1001, 1006)
 FEW = ("--filter", "guertin2014", "--samples", "3", "--radius", "8")
 

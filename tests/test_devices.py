@@ -18,6 +18,8 @@ from jaxblur.filters import FILTERS, filter_info
 from tests.exr_files import plain_frame, write_single
 from tests.helpers import random_frame, random_noise
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = """
 import dataclasses, json, sys
 import jax, jax.numpy as jnp, numpy as np

@@ -2,7 +2,11 @@
 
 import json
 
+import pytest
+
 from tests.command_line import spawn
+
+pytestmark = pytest.mark.slow
 
 # A limit on the file size acts like a full disk: bytes beyond it are not written.
 SCRIPT = """

@@ -8,6 +8,8 @@ import importlib
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 fuzz = importlib.import_module("experiments.008_hard_cases.fuzz")
 mutations = importlib.import_module("experiments.008_hard_cases.mutations")
 

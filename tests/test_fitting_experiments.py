@@ -12,6 +12,8 @@ from experiments import common
 from tests.helpers import random_frame
 from tests.planted import SETTINGS, SHAPE, TRUE, smooth_frame
 
+pytestmark = pytest.mark.slow
+
 components = importlib.import_module("experiments.005_what_a_scene_needs.run")
 rules = importlib.import_module("experiments.005_what_a_scene_needs.derive_plan")
 published = importlib.import_module("experiments.006_fit_published.run")

@@ -8,6 +8,8 @@ import jaxblur
 from jaxblur.fitting import profile
 from tests.planted import FREE, SETTINGS, TRUE, planted_pair
 
+pytestmark = pytest.mark.slow
+
 STARTS = {
     "an order below": {"kappa": 3.0, "gamma": 0.2, "tau": 0.08, "phi": 0.9, "depth_sharpness": 0.4},
     "an order above": {

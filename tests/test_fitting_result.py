@@ -13,6 +13,8 @@ import jaxblur
 from jaxblur.exr import JaxblurIOError
 from jaxblur.fitting.result import SCHEMA, Data, FitResult, Score, Sensitivity, to_toml
 
+pytestmark = pytest.mark.slow
+
 RESULT = FitResult(
     filter="mcguire2012",
     parameters={"soft_z_extent": 0.25},

@@ -14,6 +14,8 @@ from jaxblur.fitting import profile, search_settings
 from jaxblur.fitting.objective import draw_noise
 from tests.planted import TRUE, planted_pair, smooth_frame
 
+pytestmark = pytest.mark.slow
+
 QUICK = jaxblur.GuertinSettings(samples=5, radius=16)
 
 

@@ -5,10 +5,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxblur
 from jaxblur.fitting.sensitivity import difference_hessian, sandwich
 from tests.planted import SETTINGS, TRUE, planted_pair
+
+pytestmark = pytest.mark.slow
 
 
 def regression(seed, count=4000, slope=(2.0, -1.0), spread=0.7):

@@ -5,6 +5,8 @@ import importlib
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 guard = importlib.import_module("experiments.010_fast_paths.guard")
 
 

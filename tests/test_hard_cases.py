@@ -11,6 +11,8 @@ import pytest
 import jaxblur
 from jaxblur.filters import FILTERS
 
+pytestmark = pytest.mark.slow
+
 cases = importlib.import_module("experiments.008_hard_cases.cases")
 measuring = importlib.import_module("experiments.008_hard_cases.measure")
 transformations = importlib.import_module("experiments.008_hard_cases.transformations")

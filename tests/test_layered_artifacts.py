@@ -5,11 +5,14 @@ import importlib
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxblur
 from jaxblur import metrics
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.layered import fine_tile
+
+pytestmark = pytest.mark.slow
 
 robustness = importlib.import_module("experiments.012_layered.robustness")
 

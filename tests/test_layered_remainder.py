@@ -8,6 +8,8 @@ import pytest
 
 import jaxblur
 
+pytestmark = pytest.mark.slow
+
 remainder = importlib.import_module("experiments.012_layered.remainder")
 
 SIZE = (16, 40)

@@ -80,6 +80,7 @@ def test_equals_xla_in_every_setting(options):
     assert_trees_close(by_native(frame, parameters), by_xla(frame, parameters), 2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(jaxblur.FILTERS))
 def test_equals_xla_where_short_paths_take_fewer_samples(name):
     frame, parameters = make_frame((9, 37)), parameters_of(name)
@@ -98,6 +99,7 @@ def test_equals_xla_where_short_paths_take_fewer_samples(name):
     assert np.max(np.abs(ours[0] - dense)) > 0.01 or name == "layered"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
 def test_derivatives_equal_those_of_xla(fetch):
     frame, parameters = make_frame((5, 273)), jaxblur.GuertinParameters()
@@ -123,6 +125,7 @@ def test_derivatives_equal_those_of_xla(fetch):
     assert_trees_close(ours, theirs, 2e-5)
 
 
+@pytest.mark.slow
 def test_derivatives_equal_those_of_xla_where_depths_are_equal():
     frame = make_frame((12, 40))
     depth, velocity = frame.depth.at[:, 20].set(2), frame.velocity.at[:, 20].set(1)
@@ -141,6 +144,7 @@ def test_derivatives_equal_those_of_xla_where_depths_are_equal():
     assert_trees_close(ours, theirs, 2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*sorted(jaxblur.FILTERS), "layered along paths"])
 def test_derivatives_by_every_input_equal_those_of_xla(name):
     frame = make_frame((6, 40))
@@ -164,6 +168,7 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
     assert np.any(np.abs(moved) > 1e-3) and np.any(np.abs(ours[0].color) > 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 2, 5])
 @pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012", "pixel_velocity"])
 def test_any_number_of_channels_has_a_native_form(name, channels):
@@ -200,6 +205,7 @@ def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
     assert change != 0
 
 
+@pytest.mark.slow
 def test_second_derivatives_and_batches_equal_those_of_xla():
     frame, parameters = make_frame((4, 18)), jaxblur.GuertinParameters()
     colors = jnp.stack([make_frame((4, 18), seed).color for seed in (2, 3)])

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 jupytext = pytest.importorskip("jupytext", reason="needs jaxblur[notebook]")
 nbformat = pytest.importorskip("nbformat", reason="needs jaxblur[notebook]")
 pytest.importorskip("ipykernel", reason="needs jaxblur[notebook]")

@@ -13,6 +13,8 @@ from jaxblur.exr import inspect
 from tests.command_line import refused, run
 from tests.exr_files import CAR
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (40, 60)
 
 

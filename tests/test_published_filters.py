@@ -14,6 +14,8 @@ import jaxblur
 from jaxblur import exr, metrics
 from jaxblur.filters import FILTERS
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = Path(__file__).parents[1] / "experiments" / "001_published_filters" / "run.py"
 
 

@@ -9,6 +9,8 @@ from jaxblur.report import Picture, Shot, build_page, read_result, write_result
 
 from .browser import chromium
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (40, 64)
 HOSTILE = "</script><img src=x onerror=window.hacked=1>"
 

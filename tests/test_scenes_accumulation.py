@@ -20,6 +20,8 @@ from jaxblur.scenes import (
     shutter_curve,
 )
 
+pytestmark = pytest.mark.slow
+
 SIZE = (54, 96)
 BLACK = daylight((0, 0, 1), zenith=(0,) * 3, horizon=(0,) * 3, ground=(0,) * 3, clouds=0.0)
 

@@ -7,6 +7,8 @@ import pytest
 
 from jaxblur.scenes import SCENES, accumulate, object_ids, render
 
+pytestmark = pytest.mark.slow
+
 SIZE = (54, 96)
 NAMES = [
     "cube_between_crates",

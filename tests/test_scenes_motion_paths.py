@@ -23,6 +23,8 @@ from jaxblur.scenes.keyframes import light_table
 from jaxblur.scenes.occlusion import visible_bits
 from jaxblur.scenes.swept import edge_polynomials, sweep
 
+pytestmark = pytest.mark.slow
+
 SIZE = (54, 96)
 BITS = 64
 MIDDLES = (np.arange(BITS) + 0.5) / BITS

@@ -8,6 +8,8 @@ from jaxblur import scenes
 from jaxblur.scenes import materials, motion, primitives, stochastic
 from jaxblur.scenes.keyframes import light_at, light_table, needed_pieces, position_at
 
+pytestmark = pytest.mark.slow
+
 SIZE = (36, 64)
 SEEDS = 12
 

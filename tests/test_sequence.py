@@ -25,6 +25,8 @@ from jaxblur.sequence import (
 from jaxblur.sequence.jobs import DIGEST, INPUT_STATE, MEAN_SPEED
 from tests.exr_files import plain_frame, write_single
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("pattern", "path"),

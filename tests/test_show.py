@@ -16,6 +16,8 @@ from jaxblur.filters.taps import taps_at
 
 from .helpers import random_frame, random_noise
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = jaxblur.Settings(samples=9, radius=8)
 UNKNOWN: Any = "unknown"
 
