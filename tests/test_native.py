@@ -190,7 +190,7 @@ def test_any_number_of_channels_has_a_native_form(name, channels):
 
 @pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012"])
 def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
-    monkeypatch.delattr(gathers, "_by_stages")
+    monkeypatch.delattr(gathers, "_prepared")
     settings = jaxblur.Settings(samples=9, radius=4, backend="native")
     frame, parameters = make_frame((7, 21)), parameters_of(name)
     # Motion depends on these two, and motion is no scalar.
