@@ -78,7 +78,7 @@ def constants() -> dict[str, Any]:
     Returns:
         ``command``, ``scenes``, ``machine``, and ``candidates`` by label.
     """
-    text = importlib.resources.files(__package__).joinpath("constants.json").read_text()
+    text = importlib.resources.files("jaxblur.planning").joinpath("constants.json").read_text()
     return json.loads(text)
 
 
