@@ -37,7 +37,8 @@ def note(label, one, many, color):
 
 def rows(label, name, shape, used, settings={}, noise=random_noise, **fields):
     frame = dataclasses.replace(random_frame(shape, speed=30.0), **fields)
-    settings = jaxblur.Settings(**{"samples": 7, "radius": 8} | settings)
+    kind = filter_info(name).kind
+    settings = kind(**{"samples": 7, "radius": 8} | settings)
     options = {"settings": settings, "noise": noise(shape)}
     one = FILTERS[name](frame, filter_info(name).make_parameters(), **options)
     note(label, one, blur_rows(name, frame, devices=devices[:used], **options), frame.color)
