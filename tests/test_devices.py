@@ -203,5 +203,5 @@ def test_how_far_a_result_depends_on_other_rows():
     # Few samples are jittered far beyond the end of their line: 13 spacings of two thirds.
     few = jaxblur.Settings(samples=2, radius=40)
     assert row_reach("guertin2014", parameters, few)[1] == 40 * 8.883 // 1 + 3
-    with pytest.raises(ValueError, match="whose reach is known"):
+    with pytest.raises(ValueError, match="must be one of guertin2014"):
         row_reach("unknown", None, settings)
