@@ -25,6 +25,7 @@
 # %%
 from pathlib import Path
 
+import jax
 import numpy as np
 
 import jaxblur
@@ -104,9 +105,11 @@ print(
 
 
 # %%
+blur = jax.jit(lambda chosen: jaxblur.guertin2014(frame, chosen, settings=settings))
+
+
 def picture(**values):
-    chosen = jaxblur.GuertinParameters(**values)
-    return jaxblur.guertin2014(frame, chosen, settings=settings)
+    return blur(jaxblur.GuertinParameters(**values))
 
 
 choices = {
@@ -116,13 +119,13 @@ choices = {
     "phi": (0.0, 27.0, 80.0),
 }
 first = picture()
-compiled = jaxblur.guertin2014._cache_size()
+compiled = blur._cache_size()
 images = {
     f"{name} = {value:g}": picture(**{name: value})[5:66, 70:]
     for name, values in choices.items()
     for value in values
 }
-assert jaxblur.guertin2014._cache_size() == compiled, "a parameter recompiled the filter"
+assert blur._cache_size() == compiled, "a parameter recompiled the filter"
 show.image_grid(images, columns=3, width=9)
 
 
