@@ -242,6 +242,6 @@ def test_fine_tiles_divide_the_radius_where_a_divisor_is_near():
 
 def test_fewer_samples_than_guesses_are_refused():
     with pytest.raises(
-        ValueError, match="`settings.samples` must be at least 3 for layered, got 2"
+        ValueError, match=r"`settings.samples` must be at least 3 for layered, got 2"
     ):
         jaxblur.layered(random_frame((4, 4)), PARAMETERS, settings=jaxblur.Settings(samples=2))
