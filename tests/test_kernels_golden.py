@@ -107,7 +107,11 @@ def test_sizes_do_not_stand_in_the_text():
         size = height, width
         images = Images(Image(jnp.ones((*size, 2))), Image(jnp.ones(size)))
         with recorded_passes() as passes:
-            jax.eval_shape(lambda: each_pixel(gather, size, images, jnp.float32(2), backend="xla"))
+            jax.eval_shape(
+                lambda: each_pixel(
+                    gather, size, images, jnp.float32(2), kept=jnp.ones((*size, 2)), backend="xla"
+                )
+            )
         return emit.emit_pass(passes[0]).source
 
     assert source(4, 7) == source(300, 11)

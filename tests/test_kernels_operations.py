@@ -204,6 +204,16 @@ def test_a_condition_that_depends_on_the_sum_is_rejected():
         each_pixel(program, SIZE, Planes(Image(plane), Image(plane)), kept=plane)
 
 
+def test_a_condition_without_an_image_to_keep_is_rejected():
+    def program(at, images, _, __):
+        (a,) = images.a.here()
+        return Outcome((a,), where=a > 0)
+
+    plane = Image(jnp.ones((*SIZE, 1)))
+    with pytest.raises(ValueError, match="`kept` must be an image: `program` says `where`"):
+        each_pixel(program, SIZE, Planes(plane, plane))
+
+
 def test_a_whole_number_of_the_pixel_does_not_cross_into_the_sum():
     def program(at, images, _, __):
         place = images.a.here()[0].astype(jnp.int32)

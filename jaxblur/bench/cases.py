@@ -68,7 +68,7 @@ class Case:
 
 
 def filter_of(method: str) -> FilterInfo | None:
-    """What is known of a method that is a filter; None for other methods."""
+    """The record of a method that is a filter; None for other methods."""
     return filter_info(method) if method in FILTERS else None
 
 

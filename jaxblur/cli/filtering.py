@@ -151,7 +151,7 @@ def find_filter(reference: str) -> FilterInfo:
         reference: a name, or ``path/to/file.py:name``.
 
     Returns:
-        What is known of it.
+        The record of the filter.
 
     Raises:
         ValueError: there is no such filter, or the file cannot be imported.

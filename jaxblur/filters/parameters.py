@@ -17,7 +17,7 @@ _KEY = "jaxblur"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ParameterInfo:
-    """What the rest of the package must know of one parameter.
+    """One parameter of a filter: default, range, meaning.
 
     Attributes:
         default: its usual value: the published one, where the filter was published.
@@ -119,7 +119,7 @@ def parameter(
 
 
 def infos_of(parameters: type | None) -> dict[str, ParameterInfo]:
-    """What is known of each field of a filter's parameters.
+    """The `ParameterInfo` of each field of a filter's parameters.
 
     Args:
         parameters: a dataclass whose fields were made by `parameter`, or None.

@@ -128,7 +128,7 @@ class FilterInfo:
 
     @functools.cached_property
     def parameter_infos(self) -> dict[str, ParameterInfo]:
-        """What is known of each parameter, by name; empty if there are none."""
+        """The `ParameterInfo` of each parameter, by name; empty if there are none."""
         return infos_of(self.parameters)
 
     @property
@@ -234,7 +234,7 @@ def unregister(name: str) -> None:
 
 
 def filter_info(filter: str | Callable[..., Any]) -> FilterInfo:
-    """What is known of a filter.
+    """The record of a registered filter.
 
     Args:
         filter: its name, or the function itself.

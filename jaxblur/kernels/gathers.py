@@ -15,8 +15,8 @@ from jax.custom_derivatives import SymbolicZero
 
 from ..settings import Backend
 from .cpp import native_gather
-from .sums import Grid, Plan, on_cpu, replaced, sum_samples
-from .tracing import Place, Stages
+from .sums import Plan, no_terms, on_cpu, replaced, sum_samples
+from .tracing import Grid, Place, Stages
 
 
 def run_stages(
@@ -45,14 +45,10 @@ def run_stages(
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    sample = stages.sample or _no_terms
+    sample = stages.sample or no_terms
     plan = Plan(sample, stages.limit, stages.samples, backend, grid, len(local))
     leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
     return _gather(plan, stages, kept, leaves)
-
-
-def _no_terms(*_: Any) -> tuple[()]:
-    return ()
 
 
 def cond_of_values(

@@ -15,8 +15,7 @@ from ..settings import Backend
 from .gathers import run_stages
 from .program import At, Image, Outcome
 from .scatter import run_marks
-from .sums import Grid
-from .tracing import Program, Traced, flatten, trace
+from .tracing import Grid, Program, Traced, flatten, trace
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,6 +95,11 @@ def each_pixel(
             ``native`` and there is no compiler or no native form.
     """
     traced = trace(program, images, parameters, settings)
+    if traced.keeps and kept is None:
+        raise ValueError(
+            f"`kept` must be an image: `{traced.name}` says `where` without `otherwise`, so the "
+            "other pixels keep the values of an image."
+        )
     _record("pixel", traced, kept)
     return _run(traced, size, images, parameters, kept, backend)
 
@@ -213,7 +217,7 @@ class _Size(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What is fixed of a search in tiles."""
+    """The static part of a search in tiles."""
 
     program: Program
     side: int

@@ -9,8 +9,8 @@ from jaxtyping import Array, Int
 
 from ..settings import Backend
 from .cpp import native_marks
-from .sums import Grid, Plan, on_cpu
-from .tracing import Stages
+from .sums import Plan, no_terms, on_cpu
+from .tracing import Grid, Stages
 
 
 def run_marks(
@@ -34,16 +34,12 @@ def run_marks(
     """
 
     def by_xla(*leaves: jax.Array) -> jax.Array:
-        return _by_scatter(stages, Plan(_no_terms, None, 0, backend, grid, locals_), leaves, length)
+        return _by_scatter(stages, Plan(no_terms, None, 0, backend, grid, locals_), leaves, length)
 
     native = native_marks(stages, leaves, locals_, grid, length, backend)
     if native is None:
         return by_xla(*leaves)
     return on_cpu(lambda *leaves: native(*leaves)[0], by_xla, *leaves)
-
-
-def _no_terms(*_: Any) -> tuple[()]:
-    return ()
 
 
 def _by_scatter(stages: Stages, plan: Plan, leaves: Any, length: int) -> jax.Array:

@@ -25,30 +25,10 @@ from jax.interpreters import ad, batching, mlir
 
 from ..settings import Backend
 from .cpp import native_gather, native_pull
-from .tracing import Place, Stages
+from .tracing import Grid, Place, Stages
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
-
-
-class Grid(NamedTuple):
-    """Sizes of a run; native code gets them when it runs.
-
-    Attributes:
-        height: rows of the result.
-        width: columns of the result.
-        sizes: rows, columns, rows, columns, ... of the images.
-    """
-
-    height: int
-    width: int
-    sizes: tuple[int, ...] = ()
-
-    def place(self) -> Place:
-        """Row and column of every pixel, (H, W, 1), and the sizes."""
-        shape = self.height, self.width, 1
-        row, column = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-        return Place(row, column, tuple(jnp.int32(size) for size in self.sizes))
 
 
 class Plan(NamedTuple):
@@ -81,6 +61,11 @@ class Plan(NamedTuple):
         """Leaves as (channels of each local one, flat tables)."""
         local = [channels_of(leaf) for leaf in leaves[: self.locals]]
         return local, [table.reshape(-1) for table in leaves[self.locals :]]
+
+
+def no_terms(*_: Any) -> tuple[()]:
+    """The sample of a program without a sum."""
+    return ()
 
 
 def channels_of(leaf: jax.Array) -> tuple[jax.Array, ...]:

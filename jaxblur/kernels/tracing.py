@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.extend import core
 from jaxtyping import Array
 
@@ -29,7 +30,7 @@ class UnsupportedProgram(ValueError):
 
 
 class Kind(NamedTuple):
-    """What is known of an input while it is traced.
+    """Type and channels of an input, all that a trace depends on.
 
     Attributes:
         dtype: name of its type.
@@ -52,6 +53,26 @@ class Place(NamedTuple):
     row: Any
     column: Any
     sizes: tuple[Any, ...]
+
+
+class Grid(NamedTuple):
+    """Sizes of a run; native code gets them when it runs.
+
+    Attributes:
+        height: rows of the result.
+        width: columns of the result.
+        sizes: rows, columns, rows, columns, ... of the images.
+    """
+
+    height: int
+    width: int
+    sizes: tuple[int, ...] = ()
+
+    def place(self) -> Place:
+        """Row and column of every pixel, (H, W, 1), and the sizes."""
+        shape = self.height, self.width, 1
+        row, column = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+        return Place(row, column, tuple(jnp.int32(size) for size in self.sizes))
 
 
 class Stages(NamedTuple):
@@ -94,6 +115,7 @@ class Traced:
         tables: numbers of the images that are read anywhere.
         stages: the program cut at its sum.
         results: types of the results.
+        keeps: whether pixels that the condition leaves out keep those of an image.
     """
 
     name: str
@@ -103,6 +125,7 @@ class Traced:
     tables: tuple[int, ...]
     stages: Stages
     results: tuple[str, ...]
+    keeps: bool
 
 
 def flatten(images: Any, parameters: Any) -> tuple[list[Image | jax.Array], Any]:
@@ -159,9 +182,11 @@ def _trace(
         outcome = program(at, images, parameters, settings)
         where = jnp.ones((), bool) if outcome.where is None else outcome.where
         shape[:] = [len(outcome.values), outcome.otherwise is not None]
+        keeps[:] = [outcome.where is not None and outcome.otherwise is None]
         return [where, *outcome.values, *(outcome.otherwise or ())]
 
     shape: list[Any] = []
+    keeps: list[bool] = []
     whole = jax.ShapeDtypeStruct((), jnp.int32)
     inputs = [whole, whole]
     for kind in kinds:
@@ -170,7 +195,7 @@ def _trace(
     cut = _Cut(jaxpr, kinds, *shape)
     name = getattr(program, "__name__", type(program).__name__)
     results = tuple(variable.aval.dtype.name for variable in cut.values)
-    return Traced(name, jaxpr.jaxpr, kinds, cut.local, cut.tables, cut.stages(), results)
+    return Traced(name, jaxpr.jaxpr, kinds, cut.local, cut.tables, cut.stages(), results, keeps[0])
 
 
 def _shapes(kind: Kind) -> list[jax.ShapeDtypeStruct]:

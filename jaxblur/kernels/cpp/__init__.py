@@ -3,12 +3,12 @@
 import functools
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import numpy as np
 
-from ..tracing import Stages
+from ..tracing import Grid, Stages
 from .build import BuildFailed, find_compiler, keep_kernels, register
 from .emit import Kernel, Operands, emit_gather, emit_marks, emit_pull
 from .values import Unsupported
@@ -20,22 +20,11 @@ __all__ = ["keep_kernels", "native_gather", "native_marks", "native_pull"]
 Call = Callable[..., tuple[jax.Array, ...]]
 
 
-class GridSizes(Protocol):
-    """Sizes of a run: of the grid, and rows and columns of every image one after the other."""
-
-    @property
-    def height(self) -> int: ...
-    @property
-    def width(self) -> int: ...
-    @property
-    def sizes(self) -> tuple[int, ...]: ...
-
-
 def native_gather(
     stages: Stages,
     leaves: Sequence[jax.Array],
     locals_: int,
-    grid: GridSizes,
+    grid: Grid,
     backend: str,
     kept: int | None = None,
 ) -> Call | None:
@@ -73,7 +62,7 @@ def native_pull(
     locals_: int,
     active: Sequence[int],
     terms: Sequence[Any],
-    grid: GridSizes,
+    grid: Grid,
     backend: str,
 ) -> Call | None:
     """A function that carries derivatives of the sums back to the inputs of the samples.
@@ -108,7 +97,7 @@ def native_marks(
     stages: Stages,
     leaves: Sequence[jax.Array],
     locals_: int,
-    grid: GridSizes,
+    grid: Grid,
     length: int,
     backend: str,
 ) -> Call | None:
@@ -134,7 +123,7 @@ def native_marks(
 
 def _build(
     emit: Callable[[], Kernel],
-    grid: GridSizes,
+    grid: Grid,
     lengths: Sequence[int],
     backend: str,
     element: Any = np.float32,
@@ -168,9 +157,7 @@ def _warn_once(message: str) -> None:
     LOG.warning("%s", message)
 
 
-def _caller(
-    target: str, kernel: Kernel, grid: GridSizes, lengths: Sequence[int], element: Any
-) -> Call:
+def _caller(target: str, kernel: Kernel, grid: Grid, lengths: Sequence[int], element: Any) -> Call:
     """The call into the kernel, one after the other under vmap."""
     plane = grid.height, grid.width
     shapes = [(*plane, kernel.planes)] if kernel.is_image else [plane] * kernel.planes

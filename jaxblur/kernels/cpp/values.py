@@ -33,7 +33,7 @@ class Scalar:
         code: the expression, or the name of a variable.
         dtype: name of its type.
         level: where it is computed.
-        facts: what is known of it beyond that.
+        facts: known properties, used to print shorter code.
     """
 
     code: str
@@ -59,7 +59,7 @@ class Scalar:
 
 @dataclasses.dataclass(frozen=True)
 class Facts:
-    """What is known of the value of an expression.
+    """Known properties of the value of an expression.
 
     Attributes:
         number: its value.

@@ -181,7 +181,6 @@ class Writer:
 
     Attributes:
         uniform: values that are the same everywhere.
-        where: values of a pixel that its condition depends on.
         pixel: the block that values of a pixel are written to now.
         sample: values that depend on the number of the sample alone.
         tap: values of a sample of a pixel.
@@ -189,7 +188,7 @@ class Writer:
 
     def __init__(self) -> None:
         self.uniform = Scope()
-        self.where = self.pixel = Scope(self.uniform)
+        self.pixel = Scope(self.uniform)
         self.sample, self.tap = Scope(self.uniform), Scope()
         self._names = 0
 
