@@ -86,7 +86,7 @@ def test_the_command_takes_frames_with_their_truth(tmp_path):
     (again,) = bench.read_rows(tmp_path / "now.csv")
     assert again.identity == result.identity
     message = refused(*guard, *files, "--samples", "9")
-    assert "out.csv: holds no case that is asked for of frame.exr" in message
+    assert "out.csv: holds no requested case of frame.exr" in message
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ def test_vectors_of_a_motion_along_one_axis_are_inconclusive(tmp_path):
     given = ("vectors", first, "--next", second, "--velocity-channels", "a.x,a.y")
     outcome = run(*given)
     assert outcome.status == 1
-    assert "inconclusive: these frames do not tell the sign of y; give two in" in outcome.out
+    assert "inconclusive: these frames do not determine the sign of y; give two in" in outcome.out
     outcome = run(*given, "--json")
     assert outcome.status == 1
     assert json.loads(outcome.out)["undecided"] == ["the sign of y"]

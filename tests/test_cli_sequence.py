@@ -314,7 +314,7 @@ def test_a_png_beside_every_frame(shot):
         ({"input": "in.1001.exr", "--cut": "1001"}, ("--cut: is for sequences",)),
         ({"input": "in.1001.exr", "--scheduler": "local"}, ("--scheduler: is for sequences",)),
         ({"input": "no.####.exr"}, ("no.####.exr: no such frames",)),
-        ({"input": "in.%05d.exr"}, ("no such frames", "in.1001.exr is padded otherwise")),
+        ({"input": "in.%05d.exr"}, ("no such frames", "in.1001.exr has another padding")),
         ({"--frames": "7-9"}, ("in.0007.exr: no such file, nor any other",)),
         ({"--frames": "a-b"}, ("--frames: expected frames such as",)),
         ({"--cut": "7"}, ("--cut: frame 7 is not among the frames",)),

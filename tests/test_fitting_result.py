@@ -83,7 +83,7 @@ def test_mean_scores():
         ("interrupted = false", "interrupted = 0", "'interrupted' must be bool, got 0"),
         ("loss = [0.5, 1e-17]", "loss = 0.5", "'history.loss' must be list, got 0.5"),
         ("soft_z_extent = 0.25", "soft_z_extent = true", "'parameters.soft_z_extent' must be"),
-        ("steps = 2", "steps = ", "is no TOML"),
+        ("steps = 2", "steps = ", "is not TOML"),
     ],
 )
 def test_a_changed_file_is_refused_by_name_and_key(tmp_path, old, new, match):

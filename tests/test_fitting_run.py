@@ -114,7 +114,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_bits(tmp_path):
     with pytest.raises(ValueError, match="is the state of another fit"):
         quick_fit([changed(color=2 * smooth_frame().color)], state=state, resume=True)
     state.write_bytes(b"PK\x03\x04 no archive")
-    with pytest.raises(ValueError, match="holds no state of a fit"):
+    with pytest.raises(ValueError, match="does not hold the state of a fit"):
         quick_fit(state=state, resume=True)
 
 

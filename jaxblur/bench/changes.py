@@ -1,4 +1,4 @@
-"""Compare two files of results: has anything become slower, larger or worse?
+"""Compare two files of results: find cases that became slower, larger or worse.
 
 For each case that both files hold, the ratio of the times is
 

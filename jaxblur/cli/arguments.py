@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and how mistakes in them are told."""
+"""Arguments that several commands share, and the messages for mistakes in them."""
 
 import argparse
 import difflib
@@ -21,7 +21,7 @@ class CommandError(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that raises its errors, and may show a text that is made when asked for.
+    """Argument parser that raises its errors, and can end its help with text made on demand.
 
     Attributes:
         more_help: function that gives text to show below the options.
@@ -101,17 +101,17 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
         "--max-displace",
         type=float,
         metavar="PX",
-        help="pixels that a full-range vector stands for, for presets that scale so",
+        help="length in pixels of a vector at the end of the range, for presets that scale so",
     )
     group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
 
 
 _OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
-"""Arguments of the library that options are called otherwise for."""
+"""Arguments of the library whose options have another name."""
 
 
 def in_option_names(message: str, options: Mapping[str, Any]) -> str:
-    """Say ``--shutter`` where the library says ```shutter```, and likewise for values.
+    """Replace the library's argument names by the options of the command line.
 
     Args:
         message: an error message of the library.
@@ -147,7 +147,7 @@ def preset_name(text: str) -> str:
     """Parse the name of a vector convention.
 
     Raises:
-        ArgumentTypeError: there is none of that name.
+        ArgumentTypeError: no convention has that name.
     """
     from jaxblur.vectors import PRESETS
 
@@ -158,7 +158,7 @@ def one_of(text: str, known: Sequence[str], what: str) -> str:
     """Parse one of some names.
 
     Raises:
-        ArgumentTypeError: it is another one; the message suggests and lists.
+        ArgumentTypeError: the name is unknown; the message suggests the nearest and lists all.
     """
     if text in known:
         return text
@@ -171,7 +171,7 @@ def file_path(text: str) -> pathlib.Path:
     """Parse the name of a file or folder.
 
     Raises:
-        ArgumentTypeError: its bytes are not text, and the image library takes text alone.
+        ArgumentTypeError: its bytes are not text, and the image library accepts only text.
     """
     try:
         text.encode()
@@ -231,7 +231,7 @@ def frame_numbers(text: str) -> list[int]:
 
 
 def check_outputs(outputs: Iterable[pathlib.Path], overwrite: bool) -> None:
-    """Refuse outputs that must not be written, before any work is done.
+    """Reject outputs that must not be written, before any work is done.
 
     Args:
         outputs: files to write.
@@ -248,10 +248,10 @@ def check_outputs(outputs: Iterable[pathlib.Path], overwrite: bool) -> None:
 
 
 def check_folder(folder: pathlib.Path) -> None:
-    """Refuse a folder that neither is there nor can be made.
+    """Reject a folder that neither exists nor can be created.
 
     Raises:
-        CommandError: something on its path is no folder, or not writable.
+        CommandError: something on its path is not a folder, or not writable.
     """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     if not existing.is_dir():

@@ -29,7 +29,7 @@ from .sources import add_source_options
 LOG = logging.getLogger("jaxblur")
 
 OTHERS = ("unblurred", "accumulate", "stochastic", "motion_paths")
-"""Methods that are no filters."""
+"""Methods that are not filters."""
 AXES = ("samples", "radius", "fetch", "tile_choice", "directions")
 BATCH = 8
 REGRESSION = 1
@@ -38,14 +38,14 @@ EXPLANATION = """\
 Every row of RESULTS.csv is one method with its settings on one frame: median and interquartile
 range of the time (compiled before, timed in turn with others, and with a fixed piece of work that
 shows how busy the machine is), processor time, compile time, memory, and with a truth PSNR, SSIM
-and FLIP on display values, whole and where motion reaches (moving_...). Run again to go on after an
-interruption: cases that the file holds are not measured again, unless the code has changed.
+and FLIP on display values, whole and where motion reaches (moving_...). After an
+interruption, run the command again: cases in the file are measured again only if the code changed.
 
 --compare divides each time by that of the fixed work in the same rounds. A case is slower if
 the ratio exceeds 1 + tolerance by more than three standard errors, larger if its temporary buffers
 grew by more than the tolerance, worse if PSNR where motion reaches fell by more than 0.1 dB; any of
-these gives exit status 1. The cases that OLD.csv holds for the frames or scenes are measured again,
-of all its scenes if none are given; options of the grid leave some out."""
+these gives exit status 1. All cases of OLD.csv for the given frames or scenes are measured again
+(for all its scenes if none is given); options of the grid select among them."""
 
 
 def add_parser(commands: Any) -> None:
@@ -108,7 +108,7 @@ def _add_scene_options(parser: argparse.ArgumentParser) -> None:
         type=positive_integer,
         default=128,
         metavar="N",
-        help="images that make a truth (default %(default)s)",
+        help="images averaged into a truth (default %(default)s)",
     )
 
 
@@ -143,7 +143,7 @@ def _add_grid_options(parser: argparse.ArgumentParser) -> None:
         type=positive_integer,
         default=9,
         metavar="N",
-        help="times that each is timed (default %(default)s)",
+        help="timed runs of each case (default %(default)s)",
     )
 
 
@@ -200,7 +200,7 @@ def _read(path: pathlib.Path) -> list[Any]:
 
 
 def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Subjects with their cases: as asked for, or those of them that the older file holds."""
+    """Subjects with their cases: those requested, or those of them in the older file."""
     subjects = _subjects(arguments)
     if not arguments.compare:
         return [(subject, case) for subject in subjects for case in _cases(arguments)]
@@ -219,14 +219,14 @@ def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, 
     if not jobs:
         asked = ", ".join(subject.name for subject in subjects) or "scenes of the catalogue"
         raise CommandError(
-            f"{arguments.compare}: holds no case that is asked for of {asked}; give the frames "
+            f"{arguments.compare}: holds no requested case of {asked}; give the frames "
             "that it measured, or other settings."
         )
     return jobs
 
 
 def _is_asked_for(arguments: argparse.Namespace, case: Any) -> bool:
-    """Whether options of the grid, where they are given, name a case of an older file."""
+    """Whether the options of the grid select a case of an older file."""
     if arguments.methods and case.method not in arguments.methods:
         return False
     if not case.has_settings:
@@ -275,7 +275,7 @@ def _cases(arguments: argparse.Namespace) -> list[Any]:
 def _measure(
     arguments: argparse.Namespace, jobs: list[tuple[Any, Any]], known: list[Any]
 ) -> list[Any]:
-    """Measure the cases that are not known, and write the file after every batch."""
+    """Measure the cases that the file lacks, and write it after every batch."""
     from jaxblur import bench
 
     batches = bench.batches(jobs, known, BATCH)

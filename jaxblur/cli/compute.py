@@ -1,4 +1,4 @@
-"""Load jax, once everything that does not need it has been checked."""
+"""Load jax, after every check that does not need it."""
 
 import atexit
 import functools
@@ -15,9 +15,10 @@ LOG = logging.getLogger("jaxblur")
 
 @functools.cache
 def _spare_the_collector() -> None:
-    """What was imported stays: the collector, busy while functions are traced, leaves it alone.
+    """Take imported objects out of the garbage collector's rounds, which slow tracing down.
 
-    Once a process. At the end it gets all back, or libraries report what was not freed.
+    Runs once in a process. At exit the objects return to the collector; otherwise libraries report
+    leaks.
     """
     gc.freeze()
     atexit.register(gc.unfreeze)
@@ -31,7 +32,7 @@ def start_jax(compile_cache: bool) -> None:
     Args:
         compile_cache: keep compiled code in `cache_folder`.
     """
-    # The C++ part of jax logs remarks about cached code that a user can do nothing about.
+    # The C++ part of jax logs messages about cached code that a user can do nothing about.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     with held_back():
         import jax

@@ -1,4 +1,4 @@
-"""What the commands print: nothing that a file says can steer the terminal."""
+"""Output of the commands, with control characters from files escaped."""
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -39,7 +39,7 @@ def track(frames: Sequence[int], description: str) -> Iterator[int]:
     """Show a progress bar on stderr while iterating, if stderr is a terminal.
 
     Args:
-        frames: what to iterate over.
+        frames: the items.
         description: text before the bar.
 
     Yields:
@@ -67,6 +67,6 @@ def _print_ruled(columns: Sequence[str], cells: Sequence[Sequence[str]]) -> None
         side = "right" if column.startswith(">") else "left"
         table.add_column(column.removeprefix(">"), justify=side, overflow="fold")
     for row in cells:
-        # Text and not str: square brackets in a name are no markup.
+        # Text and not str: square brackets in a name are not markup.
         table.add_row(*(Text(cell) for cell in row))
     Console().print(table)

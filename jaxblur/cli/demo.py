@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     outputs = [*images.values(), *pngs.values(), page, result / MANIFEST]
     check_outputs(outputs, arguments.overwrite)
     height, width = arguments.size
-    LOG.info("%s at %dx%d, sharp and blurred by its truth", arguments.scene, width, height)
+    LOG.info("rendering %s at %dx%d, and its truth", arguments.scene, width, height)
     LOG.info("the first run compiles the scene and the filter, which takes most of its time")
     start_jax(not arguments.no_compile_cache)
     import numpy as np
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _write_page(
     result: pathlib.Path, page: pathlib.Path, scene: str, truth: Any, images: Mapping[str, Any]
 ) -> None:
-    """Leave a result and its page."""
+    """Write a result folder and its page."""
     from jaxblur.report import Picture, Shot, write_result
 
     pictures = [Picture(name, image) for name, image in images.items()]

@@ -1,4 +1,4 @@
-"""Which errors a user can mend, and how they are told."""
+"""The errors that a user can correct, and their messages."""
 
 from jaxblur._util.errors import JaxblurIOError
 
@@ -6,14 +6,14 @@ from .arguments import CommandError
 
 
 def is_foreseeable(error: BaseException) -> bool:
-    """Tell what a user can mend from what is a bug in this program."""
+    """Whether an error is one that a user can correct, rather than a bug of this program."""
     if isinstance(error, CommandError | JaxblurIOError | ValueError | OSError | MemoryError):
         return True
     return isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
 
 
 def message_of(error: BaseException) -> str:
-    """Say what went wrong, in one or several lines."""
+    """The message of an error, one or several lines."""
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return f"out of memory; use a smaller frame or fewer samples ({error})"
     if isinstance(error, OSError) and error.filename:

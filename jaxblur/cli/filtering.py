@@ -1,4 +1,4 @@
-"""The filter that runs, with its parameters and settings: options shared by the commands."""
+"""Options for the filter, its parameters and settings, shared by the commands."""
 
 import argparse
 import dataclasses
@@ -20,7 +20,7 @@ CHOICES = choices_of(GuertinSettings)
 
 
 def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_FILTER) -> Any:
-    """Add the options that say which filter runs, and how; `complete` reads them.
+    """Add the options that choose and configure the filter; `complete` reads them.
 
     Args:
         parser: of a command.
@@ -84,8 +84,8 @@ def add_nonfinite_option(group: Any) -> None:
         "--nonfinite",
         choices=("error", "ignore"),
         default="error",
-        help="NaN and infinity: reject the frame, or leave such colors out, take such vectors as "
-        "still and such depths as sky, and print how many there were (default %(default)s)",
+        help="NaN and infinity: reject the frame, or ignore them (such colors are left out, such "
+        "vectors become zero, such depths sky) and print their number (default %(default)s)",
     )
 
 
@@ -103,7 +103,7 @@ def report_ignored(path: Any, ignored: Any) -> None:
 def complete(
     arguments: argparse.Namespace, fitted: Any = None
 ) -> tuple[str, dict[str, float], Settings]:
-    """The filter to run, and how: by the options, else as fitted, else by its defaults.
+    """The filter, its parameters and settings: from the options, else as fitted, else the defaults.
 
     Args:
         arguments: with the options of `add_filter_options`.

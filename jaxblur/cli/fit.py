@@ -63,14 +63,14 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="replace an existing output, and start anew where a fit was interrupted",
+        help="replace an existing output, and start anew after an interrupted fit",
     )
     parser.add_argument(
         "--holdout",
         nargs="+",
         default=[],
         metavar="PATTERN",
-        help="frames of the list that are not fitted but only evaluated",
+        help="frames that are only evaluated, not fitted",
     )
     parser.add_argument("--crop", type=crop, metavar="WxH+X+Y", help="use only this part")
     add_compute_options(parser)
@@ -78,7 +78,7 @@ def add_parser(commands: Any) -> None:
     add_filter_options(parser, default=FITTED_FILTER)
     add_vector_options(parser)
     add_source_options(parser, of_many="one for each frame, or a pattern, as --truth")
-    # Pixels that are not finite have nothing to fit.
+    # `fit` needs finite pixels.
     parser.set_defaults(nonfinite="error")
 
 
@@ -94,7 +94,7 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         "--loss",
         choices=("auto", "expected", "mean"),
         default="auto",
-        help="over the random choice of tile: expected error, or error of the mean image "
+        help="average over the random choice of tile: expected error, or error of the mean image "
         "(default auto: expected if the filter draws tiles at random)",
     )
     group.add_argument(
@@ -141,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
     state = arguments.output.with_suffix(".state.npz")
     _check_state(arguments, state)
 
-    LOG.info("starting; before the first step the filter is compiled and a good start is searched")
+    LOG.info("starting; first the filter is compiled and good starting values are searched for")
     start_jax(not arguments.no_compile_cache)
     import jax
 
@@ -182,7 +182,7 @@ def _leave(output: pathlib.Path, state: pathlib.Path, result: Any) -> None:
 
 
 def _check_state(arguments: argparse.Namespace, state: pathlib.Path) -> None:
-    """Reject a new start over the state of an interrupted fit, unless it is asked for."""
+    """Reject a new start that would replace the state of an interrupted fit, unless requested."""
     if state.exists() and not arguments.resume and not arguments.overwrite:
         raise CommandError(
             f"{state}: is the state of an interrupted fit; pass --resume to continue from it, or "
@@ -274,7 +274,7 @@ def held_out(frames: Sequence[pathlib.Path], patterns: Sequence[str]) -> list[in
             )
         found |= matching
     if len(found) == len(frames):
-        raise CommandError("--holdout: no frame is left to fit; hold fewer out.")
+        raise CommandError("--holdout: no frame is left to fit; hold out fewer frames.")
     return sorted(found)
 
 
@@ -338,7 +338,7 @@ def _size(image: Any) -> str:
 
 
 def _with_radius(settings: Any, arguments: argparse.Namespace, pairs: Sequence[Any]) -> Any:
-    """Take the radius from the fastest frame if asked to."""
+    """Take the radius from the fastest frame under ``--radius auto``."""
     from jaxblur import vectors
 
     if arguments.radius != 0:

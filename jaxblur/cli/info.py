@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _not_finite(info: Any) -> dict[str, int]:
-    """Count pixels with NaN or infinity (other than sky in depth) by channel, where there are."""
+    """Count pixels with NaN or infinity by channel; infinite depth is sky and not counted."""
     from jaxblur import exr
 
     counts = {}
@@ -72,7 +72,7 @@ def _not_finite(info: Any) -> dict[str, int]:
 
 
 def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:
-    """Which channels `blur` would read as color and as depth, or why none."""
+    """The channels that `blur` would read as color and as depth, or the reason for none."""
     from jaxblur import exr
 
     found, prefix = {}, ""
@@ -127,13 +127,13 @@ def _missing_option(preset: Any, arguments: argparse.Namespace) -> str | None:
 
 
 def _velocity(info: Any, guess: Any, arguments: argparse.Namespace) -> Any:
-    """Read the half-spreads as they are: damaged values are counted, not refused."""
+    """Read the half-spreads as they are: damaged values are counted, not rejected."""
     from jaxblur import exr
 
     try:
         color = exr.choose_color(info, arguments.layer).channels
     except exr.JaxblurIOError:
-        # A file of vectors alone; any channels of their size stand in for the color.
+        # A file of vectors alone; any channels of the same size take the place of color.
         color = guess.channels
     return exr.read_buffers(
         info.path,
@@ -193,7 +193,7 @@ def _print_not_finite(bad: dict[str, int]) -> None:
     if bad:
         print_line()
         print_table(("channel", ">pixels with NaN or infinity"), list(bad.items()))
-        print_line("`jaxblur blur` refuses them in what it uses, or leaves them out: --nonfinite")
+        print_line("`jaxblur blur` rejects them in channels that it uses, unless given --nonfinite")
 
 
 def _window(window: tuple[int, int, int, int]) -> str:

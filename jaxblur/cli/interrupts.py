@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, which are to end a command cleanly whenever they come."""
+"""Ctrl-C and SIGTERM end a command cleanly at any time."""
 
 import _thread
 import contextlib
@@ -15,7 +15,7 @@ _SOON = 0.01
 
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
-    """Keep an interruption until the end; modules that are being loaded may crash of one.
+    """Delay an interruption to the end of the block; one during an import can crash the modules.
 
     Raises:
         KeyboardInterrupt: there was one.
@@ -36,10 +36,10 @@ def held_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def with_termination() -> Iterator[list[int]]:
-    """Take SIGTERM, by which farms end a job, for Ctrl-C.
+    """Handle SIGTERM, with which farms end a job, like Ctrl-C.
 
     Yields:
-        A list that holds something once the signal has come.
+        A list that is not empty once the signal has arrived.
     """
     came: list[int] = []
     usual = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
@@ -60,7 +60,7 @@ def with_termination() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def never_lost() -> Iterator[None]:
-    """Repeat an interruption that came where exceptions are lost, as in callbacks of jax."""
+    """Repeat an interruption that arrived where exceptions are lost, as in callbacks of jax."""
     report = sys.unraisablehook
 
     def hook(unraisable: Any) -> None:
@@ -82,5 +82,5 @@ def _interrupt() -> None:
     if os.name == "nt" or main is None:
         _thread.interrupt_main()
     else:
-        # Unlike the other it ends a wait of the main thread too.
+        # Unlike `_thread.interrupt_main` it also ends a wait of the main thread.
         signal.pthread_kill(main, signal.SIGINT)

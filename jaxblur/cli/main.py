@@ -73,7 +73,7 @@ def build_parser() -> Parser:
 
 
 class _LineFormatter(logging.Formatter):
-    """``jaxblur: message``, with the level where it is worse than information."""
+    """``jaxblur: message``, with the level from warnings upward."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
@@ -83,14 +83,14 @@ class _LineFormatter(logging.Formatter):
 
 @contextlib.contextmanager
 def _diagnostics(options: Mapping[str, Any]) -> Iterator[None]:
-    """Send log records and warnings to stderr for as long as a command with options runs."""
+    """Send log records and warnings to stderr while a command runs."""
 
     def log_warning(message: Warning | str, *_: Any) -> None:
         LOG.warning("%s", in_option_names(str(message), options))
 
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # File and channel names may hold what the terminal's encoding lacks.
+            # File and channel names may contain characters that the terminal's encoding lacks.
             stream.reconfigure(errors="backslashreplace")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_LineFormatter())

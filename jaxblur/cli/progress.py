@@ -1,4 +1,4 @@
-"""How far a sequence is: a bar with rate and time left on a terminal, a line a frame elsewhere."""
+"""Progress of a sequence: a bar with rate and time left, or, without a terminal, a line a frame."""
 
 import contextlib
 import logging
@@ -14,7 +14,7 @@ _HERE = threading.local()
 
 @contextlib.contextmanager
 def about_frame(frame: int) -> Iterator[None]:
-    """Say that what this thread logs is about a frame, for `FrameMessages`."""
+    """Mark the log records of this thread as being about a frame, for `FrameMessages`."""
     _HERE.frame = frame
     try:
         yield
@@ -23,14 +23,14 @@ def about_frame(frame: int) -> Iterator[None]:
 
 
 class FrameMessages(logging.Filter):
-    """Lets through what is said about every frame once, and names the frame in warnings."""
+    """Passes a message that repeats for every frame once, and names the frame in warnings."""
 
     def __init__(self) -> None:
         super().__init__()
         self._said: set[str] = set()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Decide about a record, and mark it."""
+        """Whether to pass a record; warnings get the frame's number."""
         frame = getattr(_HERE, "frame", None)
         if frame is None or record.levelno == logging.DEBUG:
             return True
@@ -46,7 +46,7 @@ class FrameMessages(logging.Filter):
 
 @contextlib.contextmanager
 def frame_messages() -> Iterator[None]:
-    """Put `FrameMessages` in the way of what is logged."""
+    """Filter log records by `FrameMessages`."""
     messages = FrameMessages()
     LOG.addFilter(messages)
     try:
@@ -57,7 +57,7 @@ def frame_messages() -> Iterator[None]:
 
 @contextlib.contextmanager
 def progress(total: int) -> Iterator[Any]:
-    """Show how far a number of frames is.
+    """Show progress over a number of frames.
 
     Args:
         total: number of frames.
@@ -108,7 +108,7 @@ def _bar(total: int) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _logging_above() -> Iterator[None]:
-    """Send the log to what rich has put in the place of stderr: it prints above the bar."""
+    """Send the log to rich's replacement of stderr, which prints above the bar."""
     handlers = [h for h in LOG.handlers if isinstance(h, logging.StreamHandler)]
     before = [handler.setStream(sys.stderr) for handler in handlers]
     try:

@@ -1,4 +1,4 @@
-"""``blur --result``: leave what was scored in a folder for ``jaxblur report``."""
+"""``blur --result``: write pictures and scores to a folder for ``jaxblur report``."""
 
 import argparse
 import dataclasses
@@ -28,7 +28,7 @@ def add_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Refuse what cannot be written, before any work is done.
+    """Reject a result that cannot be written, before any work is done.
 
     Raises:
         CommandError: there is no truth, or the folder cannot be made.
@@ -56,7 +56,7 @@ def make_shot(
         blurred: (H, W, C) linear light.
         method: name of the filter.
         settings: of the filter, parameters among them.
-        sources: files by what they are for, see `ROLES`.
+        sources: files by role, see `ROLES`.
 
     Returns:
         A `jaxblur.report.Shot`.
@@ -81,7 +81,7 @@ def settings_of(chosen: stages.Choice) -> dict[str, Any]:
 
 
 def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
-    """Write the result that the arguments of `blur` ask for.
+    """Write the result folder of `blur --result`.
 
     Args:
         arguments: of the command.
@@ -94,11 +94,11 @@ def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
 
 
 def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Iterator[Any]:
-    """Read the frames of a sequence back, one by one: a sequence does not fit into memory.
+    """Read the frames of a sequence back one at a time; a sequence does not fit into memory.
 
     Args:
         arguments: of the command.
-        jobs: whose outputs are there.
+        jobs: whose outputs exist.
 
     Yields:
         A shot for each frame.
@@ -112,7 +112,7 @@ def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Itera
         output = job.outputs[0]
         blurred = exr.read_image(output, arguments.layer)
         notes = exr.inspect(output).parts[0].attributes
-        # What ran, which for a plan or an automatic radius hangs on the frame.
+        # A plan and an automatic radius depend on the frame.
         settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
         method = str(notes.get("jaxblur:filter", "output"))
         yield make_shot(f"frame {job.frame}", loaded, blurred, method, settings, sources)

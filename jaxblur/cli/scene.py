@@ -66,7 +66,7 @@ def add_parser(commands: Any) -> None:
         type=positive_integer,
         default=256,
         metavar="N",
-        help="images that make a truth (default %(default)s)",
+        help="images averaged into a truth (default %(default)s)",
     )
     add_compute_options(parser)
 
@@ -104,7 +104,7 @@ def make_scene(name: str) -> Any:
     """Build a scene of the catalogue.
 
     Raises:
-        CommandError: there is none of that name.
+        CommandError: no scene has that name.
     """
     from jaxblur.scenes import SCENES
 
@@ -113,10 +113,10 @@ def make_scene(name: str) -> Any:
 
 
 def check_scene(name: str) -> None:
-    """Refuse what is no scene of the catalogue.
+    """Reject a name that is not in the catalogue.
 
     Raises:
-        CommandError: there is none of that name.
+        CommandError: no scene has that name.
     """
     from jaxblur.scenes import SCENES
 

@@ -1,4 +1,4 @@
-"""``jaxblur blur`` on sequences: names and options, the plan, the run, and what is told of it."""
+"""``jaxblur blur`` on sequences: names and options, the plan, the run, and its report."""
 
 import argparse
 import contextlib
@@ -26,10 +26,10 @@ LOG = logging.getLogger("jaxblur")
 
 FAILED = 1
 WRITE_FAILURES = 3
-"""So many frames in a row that cannot be written mean that none can."""
+"""After so many write failures in a row the run stops: no frame can be written."""
 
-# What does not change the pixels of an output: where things are, how it is told, who works. The
-# file of parameters counts by what it holds.
+# Options that do not change the pixels of an output: places, messages, workers. The file of
+# parameters counts by its contents.
 NOT_A_CHOICE = frozenset(
     {
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
@@ -49,8 +49,8 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
     existing.add_argument(
         "--skip-existing",
         action="store_true",
-        help="keep frames that were made in the same way, which is what happens without "
-        "--overwrite too; any other file in the place of an output is refused",
+        help="keep frames that were made in the same way (the default without --overwrite); "
+        "any other file in the place of an output is an error",
     )
     group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
     group.add_argument(
@@ -58,7 +58,7 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         "--frames",
         type=frame_numbers,
         metavar="A-B[xN]",
-        help="such as 1001-1240 or 1-100x2,107 (default: all that are there)",
+        help="such as 1001-1240 or 1-100x2,107 (default: all frames found)",
     )
     group.add_argument(
         "--cut",
@@ -67,7 +67,7 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         metavar="A,B",
         help="pass these frames through unblurred: at a camera cut vectors mean nothing",
     )
-    group.add_argument("--dry-run", action="store_true", help="say what would be done, do nothing")
+    group.add_argument("--dry-run", action="store_true", help="print the plan, write nothing")
     group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
     group.add_argument(
         "--scheduler",
@@ -84,14 +84,14 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
 
 
 def is_asked_for(arguments: argparse.Namespace) -> bool:
-    """Tell a sequence from a frame by the name of the input."""
+    """Whether the name of the input is that of a sequence."""
     from jaxblur.sequence import has_frame_number
 
     return arguments.frames is not None or has_frame_number(arguments.input)
 
 
 def refuse_options(arguments: argparse.Namespace) -> None:
-    """Refuse options of sequences where there is one frame.
+    """Reject options of sequences for a single frame.
 
     Raises:
         CommandError: one is given.
@@ -108,13 +108,13 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     Args:
         arguments: of the command.
-        asked: what the options say of the filter.
+        asked: filter, parameters and settings from the options.
 
     Returns:
         0 if every frame is done, 1 if some are not.
 
     Raises:
-        CommandError: nothing was begun, since an option is wrong or an output must not be
+        CommandError: before any work, since an option is wrong or an output must not be
             replaced.
     """
     from jaxblur.sequence import plan_jobs
@@ -143,8 +143,8 @@ class FrameWork:
 
     Attributes:
         arguments: of the command.
-        asked: what the options say of the filter.
-        devices: those that are free to blur on, or None for the one that JAX takes.
+        asked: filter, parameters and settings from the options.
+        devices: free devices, or None for JAX's default device.
     """
 
     arguments: argparse.Namespace
@@ -171,7 +171,7 @@ class FrameWork:
                 return loaded, chosen, stages.blur(chosen, loaded)
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
-        """Write a frame, and score it; give what the report needs."""
+        """Write a frame, and score it; returns the entries of the report."""
         from jaxblur.sequence.jobs import MEAN_SPEED
 
         loaded, chosen, image = made
@@ -230,7 +230,7 @@ class _Run:
         self.records = {job.frame: _record(job) for job in plan.jobs}
 
     def run(self) -> int:
-        """Work through the plan and tell what came of it."""
+        """Run the plan and report the outcome."""
         todo = self.plan.with_action("blur", "pass")
         LOG.info("%d frames: %s", len(self.plan.jobs), _counts_in(self.plan))
         for job in self.plan.with_action("missing"):
@@ -264,13 +264,13 @@ class _Run:
                         LOG.error("%d frames in a row cannot be written; stopping.", refused)
                         break
         except KeyboardInterrupt as interruption:
-            # What is under way comes to its end: the disk knows more than the records.
+            # Frames under way are completed: the disk is ahead of the records.
             outcomes.close()
             pairs = zip(map(_times, todo), before, strict=True)
             written = sum(None not in now and now != earlier for now, earlier in pairs)
             raise KeyboardInterrupt(
                 f"interrupted; {written} of {len(todo)} frames are written, and the same command "
-                "goes on from there"
+                "continues from there"
             ) from interruption
         finally:
             outcomes.close()
@@ -307,8 +307,8 @@ class _Run:
         cuts = find_cuts(speeds)
         for cut in cuts:
             LOG.warning(
-                "frame %d: its vectors are %.1f px long in the mean, those of its neighbors %.1f; "
-                "if the camera cuts here, --cut %d passes the frame through.",
+                "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f px; if the "
+                "camera cuts here, pass --cut %d to leave the frame unblurred.",
                 *(cut.frame, cut.speed, cut.usual, cut.frame),
             )
         if self.arguments.json:
@@ -327,7 +327,7 @@ def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[An
     if arguments.scheduler:
         work = FrameWork(arguments, asked).stages()
         return run_cluster(todo, work, arguments.scheduler, arguments.workers or 2)
-    # Here and not in the thread that computes: modules are best imported by one thread.
+    # Imported in this thread, not in the one that computes: imports are best done by one thread.
     start_jax(not arguments.no_compile_cache)
     import jax
 
@@ -338,7 +338,7 @@ def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[An
 
 
 def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
-    """Names of the inputs by what they are for, and of the outputs."""
+    """Names of the inputs by role, and of the outputs."""
     from jaxblur.sequence import has_frame_number, parse_names
 
     def placed(path: pathlib.Path) -> pathlib.Path:
@@ -358,7 +358,7 @@ def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _times(job: Any) -> list[int | None]:
-    """When each output of a frame was written, None where it is not there."""
+    """Modification time of each output of a frame, None where there is no file."""
     return [path.stat().st_mtime_ns if path.exists() else None for path in job.outputs]
 
 
@@ -376,11 +376,11 @@ def _frames_on_disk(names: Any) -> list[int]:
 
 def _padding_hint(names: Any) -> str:
     other = names.other_padding()
-    return f"; {other} is padded otherwise, ## stands for two digits" if other else ""
+    return f"; {other} has another padding; ## stands for two digits" if other else ""
 
 
 def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, Any]:
-    """All that determines an output besides its inputs.
+    """Every choice that determines an output besides its inputs.
 
     A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
     default.
@@ -399,7 +399,7 @@ def _sha256(path: str) -> str:
 
 
 def _refuse(plan: Any, names: Any) -> None:
-    """Stop before any work if an output must not be replaced, or if there is no input at all."""
+    """Stop before any work if an output must not be replaced, or if there is no input."""
     refused, missing = plan.with_action("refuse"), plan.with_action("missing")
     if refused:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
@@ -421,7 +421,7 @@ def _print_plan(plan: Any, as_json: bool) -> int:
 
 
 def _record(job: Any) -> dict[str, Any]:
-    """What is told of a frame, before anything is done."""
+    """The report's record of a frame, before any work."""
     status = {"keep": "kept", "missing": "missing"}.get(job.action, "not done")
     return {
         "frame": job.frame,

@@ -1,4 +1,4 @@
-"""Where color, vectors and depth of a frame are: the options that say so, and reading by them."""
+"""Options for the place of color, vectors and depth of a frame, and reading by them."""
 
 import argparse
 import dataclasses
@@ -16,7 +16,7 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
 
     Args:
         parser: of a command.
-        of_many: how files are matched to frames, where the command takes many frames at once.
+        of_many: how files are matched to frames, for commands that take many frames.
 
     Returns:
         Their group.
@@ -44,7 +44,7 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
 
 
 def read(arguments: argparse.Namespace) -> Any:
-    """Read the frame that the arguments name, and say how it was read.
+    """Read the frame that the arguments name, and log how it was read.
 
     Args:
         arguments: with ``input`` and the options of `add_source_options` and of the vectors.
@@ -79,7 +79,7 @@ def read(arguments: argparse.Namespace) -> Any:
 
 
 def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:
-    """Give the sky the velocity of the camera's turn, and say whether it has one."""
+    """Give the sky the velocity of the camera's turn, and log whether one was found."""
     import numpy as np
 
     from jaxblur.vectors.sky import turning_sky

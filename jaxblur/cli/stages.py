@@ -1,4 +1,4 @@
-"""One frame: read it, blur it, write it; the same whether it stands alone or in a sequence."""
+"""One frame: read it, blur it, write it; the same for a single frame and in a sequence."""
 
 import argparse
 import dataclasses
@@ -18,17 +18,17 @@ LOG = logging.getLogger("jaxblur")
 
 SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
 
-# In a sequence every radius is a compilation, so that few are used; none is more than 1.5 times
-# as large as needed, from 20 px on.
+# Every radius costs a compilation, so a sequence uses few: from 20 px on, each at most 1.5 times
+# as large as needed.
 SEQUENCE_RADII = (10, 20, 30, 40, 60, 80, 120, 160, 240, 320, 480, 640, 960, 1280, 1920)
 
 PASSED_THROUGH = "none"
-"""Stands for the filter of a frame that was not blurred."""
+"""In the place of the filter's name for a frame that was not blurred."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Which filter runs and how.
+    """A filter with its parameters and settings.
 
     Attributes:
         name: of a registered filter, or `PASSED_THROUGH`.
@@ -59,7 +59,7 @@ class Loaded:
 
 
 def check_output(output: pathlib.Path) -> None:
-    """Refuse the name of an output that cannot be written.
+    """Reject the name of an output that cannot be written.
 
     Raises:
         CommandError: another format, or there is no such folder, or it is not writable.
@@ -78,7 +78,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
 
     Args:
         arguments: of the command.
-        settings: whose radius the speeds are held against.
+        settings: whose radius the speeds are compared with.
 
     Returns:
         The frame.
@@ -103,15 +103,15 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
 
 
 def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choice:
-    """Make the choices that depend on the frame: the plan, and the radius.
+    """Make the choices that depend on the frame: plan and radius.
 
     Args:
         arguments: of the command.
-        asked: what the options say.
+        asked: choices from the options.
         loaded: the frame.
 
     Returns:
-        What is to be run.
+        The choice to run.
 
     Raises:
         CommandError: no plan fits the frame.
@@ -132,7 +132,7 @@ def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choi
             asked.settings.radius,
             f"--radius auto would take {enough}"
             if enough > asked.settings.radius
-            else "some are longer than the picture: check --preset and --shutter (frames)",
+            else "some are longer than the frame is wide: check --preset and --shutter (frames)",
         )
     return asked
 
@@ -205,7 +205,7 @@ def write(
         provenance: metadata to add.
 
     Raises:
-        JaxblurIOError: the disk refused, or the image holds what cannot be written.
+        JaxblurIOError: the file cannot be written, or it cannot hold such values.
     """
     from jaxblur import exr
 
@@ -226,7 +226,7 @@ def write(
 
 
 def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
-    """Give what must be known to make an output again; names of files, without folders."""
+    """Everything needed to make an output again; file names without folders."""
     used = dataclasses.asdict(chosen.settings) | {
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
@@ -244,7 +244,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
 
 
 def warn_of_double_blur(path: pathlib.Path) -> None:
-    """Say so if a frame was blurred before."""
+    """Warn if a frame was blurred before."""
     from jaxblur import exr
 
     earlier = [part.attributes.get("jaxblur:filter") for part in exr.inspect(path).parts]
@@ -269,7 +269,7 @@ def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
 
 
 def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:
-    """Choose by the frame what `complete` takes from the options, and say why."""
+    """Choose from the frame's statistics what `complete` takes from the options, and log why."""
     from jaxblur.planning import plan
 
     try:

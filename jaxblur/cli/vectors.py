@@ -1,4 +1,4 @@
-"""``jaxblur vectors``: find out from two frames what their motion vectors mean."""
+"""``jaxblur vectors``: find the convention of motion vectors from two frames."""
 
 import argparse
 import dataclasses
@@ -14,7 +14,7 @@ from .arguments import (
 )
 from .console import print_line, print_table
 
-# The best candidate must explain the motion: leave less of the difference than this.
+# The best candidate must explain the motion: leave at most this share of the difference.
 EXPLAINED = 0.8
 
 
@@ -88,7 +88,7 @@ def _rank(arguments: argparse.Namespace) -> Any:
         )
     raw = exr.read_channels(arguments.file, names)
     if now.shape != following.shape:
-        # One of the two lacks alpha; what both have is compared.
+        # One of the two lacks alpha; the channels of both are compared.
         now, following = (image[..., : min(colors)] for image in (now, following))
     try:
         return vectors.rank_conventions(
@@ -109,7 +109,7 @@ def _recognized(info: Any, layer: str | None) -> list[str]:
 
 
 def _color_count(image: Any) -> int:
-    """Count the channels but for alpha: gray or RGB."""
+    """Number of channels without alpha: gray or RGB."""
     return 1 if image.shape[2] < 3 else 3
 
 
@@ -141,8 +141,8 @@ def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
     print_line(f"error if nothing moved: {ranking.still_error:.5f}")
     if explained and ranking.undecided:
         print_line(
-            f"inconclusive: these frames do not tell {' and '.join(ranking.undecided)}; give two "
-            "in which things move both across and up or down"
+            f"inconclusive: these frames do not determine {' and '.join(ranking.undecided)}; "
+            "give two in which things move both across and up or down"
         )
     elif explained:
         print_line(

@@ -1,8 +1,9 @@
 """Leave masked samples out of a filter.
 
-The weights of a filter never see color, and its result is ``sum_i w_i c_i / sum_i w_i``. Filtering
-``m c`` and the mask m alike, and dividing, gives ``sum_i w_i m_i c_i / sum_i w_i m_i``: a masked
-sample contributes neither color nor weight, in any filter, at the price of one more channel.
+The weights of a filter do not depend on color, and its result is ``sum_i w_i c_i / sum_i w_i``.
+Filtering ``m c`` and the mask m alike, and dividing, gives ``sum_i w_i m_i c_i / sum_i w_i m_i``:
+a masked sample contributes neither color nor weight, in any filter, for the cost of one more
+channel.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ from ..frame import Frame, check_frame
 P = ParamSpec("P")
 
 SMALLEST_SHARE = 1e-3
-"""Pixels that see less of what is valid count as not reached by it."""
+"""Least filtered mask of a pixel that is reached by valid samples."""
 
 
 def honoring_mask(
@@ -29,7 +30,7 @@ def honoring_mask(
     """Make a filter leave out what ``frame.valid`` masks.
 
     Args:
-        function: a filter; it never sees a mask.
+        function: a filter; its frames never have a mask.
 
     Returns:
         The same filter for frames with a mask too; without one nothing changes.
@@ -58,7 +59,7 @@ def append_mask(frame: Frame) -> Frame:
     """
     frame = check_frame(frame)
     mask = (jnp.asarray(frame.valid) != 0)[..., None]
-    # Replaced and not multiplied, so that NaN may stand where it is masked.
+    # Replaced and not multiplied, because masked colors may be NaN.
     color = jnp.where(mask, frame.color, 0)
     color = jnp.concatenate([color, mask.astype(color.dtype)], axis=-1)
     return dataclasses.replace(frame, color=color, valid=None)
@@ -67,7 +68,7 @@ def append_mask(frame: Frame) -> Frame:
 def divide_by_mask(
     filtered: Float[Array, "*batch height width channels_and_mask"],
 ) -> Float[Array, "*batch height width channels"]:
-    """Divide filtered colors by the filtered mask; what nothing valid reaches is filled.
+    """Divide filtered colors by the filtered mask; fill pixels that no valid sample reaches.
 
     Args:
         filtered: (..., H, W, C + 1), the mask last.

@@ -13,7 +13,7 @@ from ..kernels import At, Image
 from ..settings import Border, Fetch, Settings
 
 FEWEST = 5
-"""Samples that even the shortest path takes."""
+"""Least number of samples of a path."""
 
 
 class Texel(NamedTuple):

@@ -32,8 +32,8 @@ def floored_speed(speed: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 def anything_moves(vectors: Float[Array, "*shape"]) -> Bool[Array, ""]:
     """Whether any vector may be longer than the floor; NaN counts as one that is.
 
-    Whether the sum of all squares is above the floor's. On a CPU XLA makes a quick loop of that sum
-    and of no other, and it keeps NaN, where the maximum loses what it has found when it meets one.
+    Compares the sum of all squares with the floor's: on a CPU, XLA vectorizes this reduction,
+    unlike a maximum, and the sum keeps NaN.
 
     Args:
         vectors: their components, pixels.

@@ -41,7 +41,7 @@ from .tiles import (
 register_record(GuertinParameters)
 
 PERPENDICULAR = 1e-6
-"""Cosines below this count as 0: of two directions that are perpendicular but for rounding."""
+"""Cosines below this count as 0: the two directions are perpendicular up to rounding."""
 REC709_LUMA = (0.2126, 0.7152, 0.0722)
 
 Vector = tuple[Float[Array, "*a"], Float[Array, "*a"]]

@@ -1,7 +1,7 @@
 """Smooth maps between the parameters of the filters and the real numbers that are optimized.
 
 An optimizer moves each parameter through all real numbers; the map keeps the parameter inside its
-open range, so that no value is clipped and no derivative vanishes at a bound. The ranges are those
+open range, so no value is clipped and no derivative vanishes at a bound. The ranges are those
 of the registry (`jaxblur.ParameterInfo`):
 
 ===================== ========================================= ==============================
@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 from ..filters.registry import filter_info
 
 INSET = 0.05
-"""Share of an interval at either end where nothing starts: the sigmoid is flat there."""
+"""Share of an interval at either end that no start lies in: the sigmoid is flat there."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +78,7 @@ class AnyNumber:
         return value
 
     def at_end(self, value: float) -> bool:
-        """Whether a fitted value ran away."""
+        """Whether a fitted value diverged."""
         return not abs(value) < 1e6
 
 
@@ -185,7 +185,7 @@ def starting_values(filter_name: str, values: Mapping[str, float]) -> dict[str, 
         The same names; a value on the bound of an interval is moved inside by `INSET` of it.
 
     Raises:
-        ValueError: a value is out of its range, or at an end that it cannot leave.
+        ValueError: a value is out of its range, or at an end from which no descent leads.
     """
     table = constraints_of(filter_name)
     starts = {}

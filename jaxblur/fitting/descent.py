@@ -25,7 +25,7 @@ SAVE_EVERY = 30.0
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """What the callback is told after each step.
+    """The argument of the callback, after each step.
 
     Attributes:
         step: number of steps done, from 1.
@@ -42,7 +42,7 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """What a descent works on, apart from the point where it stands.
+    """The problem of a descent, without its current point.
 
     Attributes:
         objective: what is minimized.
@@ -73,7 +73,7 @@ class Task:
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """Where a descent stands.
+    """The current point of a descent.
 
     Attributes:
         free: the optimized vector.
@@ -91,7 +91,7 @@ class State:
 
 
 def default_optimizer(steps: int) -> optax.GradientTransformation:
-    """Adam, whose steps shrink to nothing: 0.2 at first, that is 20 % of a positive parameter.
+    """Adam with steps that shrink from 0.2, which is 20 % of a positive parameter, to 0.
 
     On planted parameters `optax.lbfgs` stopped in flat stretches that this one crosses, and its
     line searches took ten times as long.
@@ -114,14 +114,14 @@ def descend(
     save: Callable[[State], None] | None = None,
     until: int | None = None,
 ) -> tuple[State, bool]:
-    """Take steps until there are as many as asked for, or until ctrl-C.
+    """Take the requested number of steps, or stop at ctrl-C.
 
     Args:
         task: what to minimize.
-        state: where to start or to go on.
+        state: the point from which to start or to continue.
         steps: number of steps in total, with those already done.
-        optimizer: an optax transformation; a line search is given a loss to search on.
-        callback: told after each step.
+        optimizer: an optax transformation; a line search receives the loss.
+        callback: called after each step.
         save: called with the state every `SAVE_EVERY` seconds and when interrupted.
         until: stop after as many steps, if fewer.
 
@@ -185,7 +185,7 @@ def _make_update(task: Task, optimizer: Any) -> Callable[..., Any]:
 
 
 def fingerprint(task: Task, hashes: Sequence[str], start: Mapping[str, float], steps: int) -> str:
-    """Hash all that a saved state depends on, but for the optimizer.
+    """Hash everything that a saved state depends on, except the optimizer.
 
     Args:
         task: what is minimized.
@@ -214,7 +214,7 @@ def save_state(path: str | os.PathLike[str], state: State, mark: str) -> None:
     Args:
         path: ``.npz`` file.
         state: to write.
-        mark: `fingerprint` of what it belongs to.
+        mark: `fingerprint` of the fit that it belongs to.
 
     Raises:
         JaxblurIOError: the file cannot be written.
@@ -240,7 +240,7 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
     Args:
         path: ``.npz`` file.
         fresh: the state at the start, whose structure the file must have.
-        mark: `fingerprint` of what is to go on.
+        mark: `fingerprint` of the fit to continue.
 
     Returns:
         The state.
@@ -249,7 +249,7 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
         ValueError: the file holds no state, or that of another fit.
     """
     try:
-        # NumPy leaves a file open that it opened itself and cannot read.
+        # NumPy does not close a file that it opened by name and cannot read.
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         found = str(arrays["mark"])
@@ -262,7 +262,7 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
             int(arrays["scans"]),
         )
     except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: holds no state of a fit; start anew.") from error
+        raise ValueError(f"{path}: does not hold the state of a fit; start anew.") from error
     if found != mark:
         raise ValueError(
             f"{path}: is the state of another fit: frames, start, free parameters, loss, "

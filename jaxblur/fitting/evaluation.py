@@ -25,9 +25,9 @@ def images(
         filter_name: name of a registered filter.
         parameters: of the filter.
         pair: gives the frame.
-        settings: of the run, taken as they are.
+        settings: of the run, unchanged.
         key: for the noise.
-        draws: number of images; one is given where the settings ask for no noise.
+        draws: number of images; 1 is used where the settings have no noise.
 
     Returns:
         (draws, H, W, C) linear light.
@@ -57,7 +57,7 @@ def evaluate(
         filter_name: name of a registered filter.
         parameters: of the filter.
         pairs: frames with truth.
-        settings: of the run, taken as they are: a stochastic choice of tile is drawn.
+        settings: of the run, unchanged: a stochastic choice of tile is drawn.
         key: for the noise, which is the same for all parameters that are compared.
         draws: number of images for each pair.
         labels: part and parameters, as in `Score`.

@@ -9,7 +9,7 @@ display  ``(D(a) - D(b))^2``, D = `jaxblur.metrics.display`: sRGB curve, clipped
 ssim     ``1 - SSIM(D(a), D(b))`` of the window around the pixel, see `jaxblur.metrics.ssim`
 ======== ==================================================================================
 
-Color channels alone are compared, as `jaxblur.metrics.rgb` picks them.
+Only color channels are compared, those that `jaxblur.metrics.rgb` selects.
 
 ``loss`` says how the random outcomes, such as the choice of tile, are averaged, exactly in both
 cases:

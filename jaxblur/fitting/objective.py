@@ -1,4 +1,4 @@
-"""The objective of a fit: what is run, what is averaged, and its value and gradient.
+"""The objective of a fit: the filter that runs, the average over its outcomes, value and gradient.
 
 The objective is the error of the filter as it will run. A filter that draws one of several
 outcomes at a pixel, such as a tile, is represented by all of them and their probabilities; the
@@ -28,7 +28,7 @@ NoiseMode = Literal["fresh", "fixed", "builtin"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Objective:
-    """What is minimized; hashable, so that equal objectives share one compilation.
+    """The minimized function; hashable, so that equal objectives share one compilation.
 
     Attributes:
         filter_name: name of a registered filter.
@@ -75,7 +75,7 @@ class Objective:
         return self.noise != "builtin" and self.settings.noise != "none"
 
     def describe(self) -> str:
-        """What is minimized, in one sentence."""
+        """The objective in one sentence."""
         outcomes = {
             "expected": "expected over the random outcomes",
             "mean": "of the mean image over the random outcomes",
@@ -113,8 +113,8 @@ class Batch:
 def draw_noise(key: jax.Array, size: tuple[int, int]) -> Noise:
     """Draw uniform noise for a frame.
 
-    The error of a pixel depends on its own noise alone, so that the mean error under white noise
-    is that under any pattern with uniform values, placed at random.
+    The error of a pixel depends only on its own noise, so the mean error under white noise equals
+    that under any pattern with uniform values, placed at random.
 
     Args:
         key: a `jax.random` key.

@@ -1,9 +1,8 @@
 """A whole optimization: scan, descend, scan again, descend, and a last Newton step or two.
 
-Far from the optimum the loss is flat in some parameters: with much jitter everything is noise,
-and a second direction that turns at once cannot turn any sooner. No descent leaves such a
-plateau, but a coarse scan along each parameter does; a second one, when the other parameters are
-about right, corrects the first. Near the optimum the valleys are narrow, and a first-order
+Far from the optimum the loss is flat in some parameters. No descent leaves such a plateau, but a
+coarse scan along each parameter does; a second scan, when the other parameters are about right,
+corrects the first. Near the optimum the valleys are narrow, and a first-order
 method creeps along them; with a handful of parameters Newton's method is cheap.
 """
 
@@ -20,10 +19,10 @@ from .descent import Progress, State, Task, descend
 from .sensitivity import difference_hessian
 
 OFFSETS = (-3.0, -1.5, 1.5, 3.0)
-"""Tried along each unconstrained parameter; 3 is a factor of 20 for a positive one."""
+"""Steps tried along each unconstrained parameter; 3 is a factor of 20 for a positive one."""
 SWEEPS = 2
 WORTHWHILE = 0.002
-"""Share of the loss that a scanned value must save: less would only lead onto a plateau."""
+"""Least share of the loss that a scanned value must save; less may lead onto a plateau."""
 SECOND_SCAN = 1 / 3
 """Share of the steps after which the scan is repeated."""
 ROUNDS = 4
@@ -43,10 +42,10 @@ def optimize(
 
     Args:
         task: what to minimize.
-        state: where to start or to go on.
+        state: the point from which to start or to continue.
         steps: of descent in total, with those already done.
         optimizer: an optax transformation.
-        callback: told after each step.
+        callback: called after each step.
         save: see `descend`.
 
     Returns:
@@ -135,7 +134,7 @@ def polish(task: Task, free: Float[Array, " names"]) -> Float[Array, " names"]:
 def _newton_step(
     hessian: Float[np.ndarray, "n n"], gradient: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Downhill in every direction of curvature, no longer than `LONGEST`."""
+    """A Newton step, downhill along every eigenvector of the Hessian, at most `LONGEST` long."""
     curvatures, directions = np.linalg.eigh(hessian)
     size = np.abs(curvatures)
     damped = np.maximum(size, 1e-6 * size.max(initial=1e-30))

@@ -1,4 +1,4 @@
-"""Frames with their truth: checked at the door, named, hashed, and stacked by size."""
+"""Frames with their truth: checked, named, hashed, and stacked by size."""
 
 import dataclasses
 import hashlib
@@ -17,7 +17,7 @@ from .objective import Batch
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """A sharp frame and what it should look like when blurred.
+    """A sharp frame and its true blurred image.
 
     Attributes:
         name: for messages and reports.
@@ -42,7 +42,7 @@ class Pair:
 
 
 def make_pairs(pairs: Sequence[tuple[Frame, Any]], names: Sequence[str] | None) -> list[Pair]:
-    """Check pairs and keep what the fit needs of them.
+    """Check pairs and keep the parts that the fit needs.
 
     Args:
         pairs: frames with their truth (H, W, C), linear light.
@@ -101,7 +101,7 @@ def _refuse_non_finite(name: str, what: str, good: np.ndarray) -> None:
 
 
 def pixel_weights(pairs: Sequence[Pair], mask: Any, pixel: Pixel) -> list[np.ndarray]:
-    """How much each pixel counts: every pair the same, and within it every pixel of its mask.
+    """Weight of each pixel: equal for all pairs, and within a pair for all pixels of its mask.
 
     Args:
         pairs: the pairs.
@@ -158,7 +158,7 @@ def make_batches(pairs: Sequence[Pair], weights: Sequence[np.ndarray]) -> tuple[
     """
     kinds: dict[Any, list[Batch]] = {}
     for index, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
-        # Exactly as wide as the color, for float64 fits too.
+        # The dtype of the color, for float64 fits too.
         share = jnp.asarray(weight, pair.truth.dtype)
         batch = Batch(pair.frame, pair.truth, share, jnp.asarray(index))
         kind = pair.truth.shape, jax.tree.structure(batch)

@@ -75,8 +75,8 @@ def profile(
 
     By default the other parameters are held at their fitted values, which shows the curvature
     along one axis; with ``refit`` they are fitted anew at each value, by a few Newton steps, which
-    shows what the data says about the parameter whatever the others are. Noise is the same at all
-    values.
+    shows how well the data determines the parameter when the others are unknown. Noise is the same
+    at all values.
 
     Args:
         result: of a fit.

@@ -51,12 +51,12 @@ class Score:
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """How well the frames determine the fitted parameters; see `jaxblur.fitting.sensitivity`.
+    """Standard errors of the fitted parameters; see `jaxblur.fitting.sensitivity`.
 
     Attributes:
         names: of the free parameters, the order of all that follows.
-        standard_error: in the units of the parameters; infinite where nothing determines one,
-            NaN where the frames have too few blocks to tell.
+        standard_error: in the units of the parameters; infinite where the data leaves one free,
+            NaN where the frames have too few blocks.
         relative_error: the same as a share of the fitted value.
         correlation: of the errors, names x names.
         curvature: second derivatives of the loss in the unconstrained parameters, names x names.
@@ -181,7 +181,7 @@ class FitResult:
             The result.
 
         Raises:
-            ValueError: the file is no TOML, of another schema, has unknown or missing keys or
+            ValueError: the file is not TOML, of another schema, has unknown or missing keys or
                 values of another type, or its filter is not registered; the message names file
                 and key.
             OSError: the file cannot be read.
@@ -190,7 +190,7 @@ class FitResult:
             try:
                 content = tomllib.load(file)
             except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-                raise ValueError(f"{path}: is no TOML: {error}.") from error
+                raise ValueError(f"{path}: is not TOML: {error}.") from error
         schema = content.pop("schema", None)
         if schema != SCHEMA:
             raise ValueError(
@@ -301,7 +301,7 @@ def _decode_record(kind: Any, value: Any, where: str) -> Any:
     table = _expect(dict, value, where)
     prefix = f"{where}." if where else ""
     hints = typing.get_type_hints(kind)
-    # Empty sequences of tables and None have no place in TOML.
+    # TOML has no form for empty sequences of tables and for None.
     absent = {
         name: None if types.NoneType in typing.get_args(hint) else ()
         for name, hint in hints.items()

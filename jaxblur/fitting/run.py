@@ -97,7 +97,7 @@ def fit(
         holdout: indices of the pairs that are only evaluated.
         key: seed of all noise; ``jax.random.key(0)`` if None. Evaluation uses another stream.
         names: of the pairs, for the report.
-        notes: what to keep in the result, such as how the frames were read.
+        notes: additions to the result, such as how the frames were read.
         callback: called after each step.
         state: ``.npz`` file that the state is saved to twice a minute and when interrupted.
         resume: continue from ``state`` if the file exists; the result equals that of an
@@ -158,7 +158,7 @@ def _objective(
     noise: NoiseMode,
     noise_draws: int,
 ) -> Objective:
-    """What is minimized: the choices of the caller, checked against each other, or the defaults."""
+    """The objective, from the caller's choices, checked against each other, or the defaults."""
     settings = info.settings if settings is None else settings
     settings = checked_settings(settings, info.kind, info.name)
     if info.check is not None:
@@ -188,7 +188,7 @@ def _judged(
     parts: tuple[Sequence[Pair], Sequence[Pair]],
     key: jax.Array,
 ) -> dict[str, Any]:
-    """Scores under noise that the fit has not used, and how well the data determine the values."""
+    """Scores under noise that the fit has not used, and the sensitivity."""
     objective, unseen = task.objective, jax.random.fold_in(key, EVALUATION)
     return {
         "scores": _scores(objective.filter_name, compared, parts, objective.settings, unseen),
@@ -220,7 +220,7 @@ def _check_names(argument: str, info: FilterInfo, given: Iterable[str]) -> None:
 
 
 def _resolved(loss: Any, info: FilterInfo, settings: Settings) -> Any:
-    """The loss that ``auto`` stands for: settings with a random choice have a smooth form."""
+    """Resolve ``auto``: the expected loss where the settings draw outcomes at random."""
     if loss == "auto":
         return "mean" if info.smooth_settings(settings) == settings else "expected"
     return loss

@@ -19,7 +19,7 @@ from .pairs import Pair, make_pairs
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """One setting that was tried.
+    """A setting that was measured.
 
     Attributes:
         samples: taps per pixel.
@@ -41,7 +41,7 @@ class SettingsSearch:
     """Result of a search.
 
     Attributes:
-        candidates: all that were tried, the fastest first.
+        candidates: all settings measured, the fastest first.
         choice: the settings chosen.
         reason: why it was chosen, in words.
     """

@@ -9,11 +9,11 @@ curvature and number of pixels, would be far too small. Used instead is the sand
 in the unconstrained parameters: H is the Hessian of the loss, g_b the gradient of the share of
 block b, blocks being the tiles of ``radius x radius`` pixels. A standard error says how far the
 optimum would move if the same amount of picture were drawn anew from the same kind of tiles. It
-knows nothing of scenes unlike these: held-out scenes tell about those.
+says nothing about other kinds of scenes; held-out scenes do.
 
-H comes from central differences of the forward-mode gradient over steps of 5 %. Second
-derivatives proper would miss the kinks that every bilinear read and clip puts into the loss. The
-gradient itself does not know of taps that jump across a silhouette, because velocity and depth
+H comes from central differences of the forward-mode gradient over steps of 5 %. Exact
+second derivatives would miss the kinks that every bilinear read and clip puts into the loss. The
+gradient itself ignores taps that jump across a silhouette, because velocity and depth
 are read at the nearest texel: for parameters that move the taps (gamma, phi) the curvature was
 found too small by up to a half, and the standard error then is too large. `profile` takes no
 derivative and is the check.
@@ -107,7 +107,7 @@ def sensitivity(task: Task, free: Float[Array, " names"], key: jax.Array) -> Sen
 
     hessian = difference_hessian(lambda point: blocks(point).sum(axis=0), free)
     shares = blocks(free)
-    # Blocks without weight or motion say nothing, not even that there is no spread.
+    # Blocks without weight or motion carry no information about the spread.
     shares = shares[np.abs(shares).any(axis=1)]
     covariance, determined = sandwich(hessian, shares)
     errors = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
@@ -128,7 +128,7 @@ def sensitivity(task: Task, free: Float[Array, " names"], key: jax.Array) -> Sen
 
 
 def _slopes(task: Task, free: jax.Array) -> tuple[np.ndarray, np.ndarray]:
-    """Derivative of each parameter in its unconstrained form, and its value."""
+    """Derivative of each parameter by its unconstrained form, and its value."""
     name, names = task.objective.filter_name, task.objective.free
 
     def stacked(point: jax.Array) -> jax.Array:
@@ -160,19 +160,19 @@ def _flags(
             flags.append(f"{name}: too few moving tiles for a standard error; give more frames")
         elif np.isinf(share):
             flags.append(
-                f"{name}: the loss has no minimum along it here: not determined, or not done"
+                f"{name}: the loss has no minimum along it here: not determined, or too few steps"
             )
         elif share > UNSURE:
             flags.append(f"{name}: ±{100 * share:.0f} %: not determined by these frames")
         if table[name].at_end(value):
             flags.append(
-                f"{name}: ran to the end of its range, {value:.3g}: its error means little"
+                f"{name}: reached the end of its range, {value:.3g}; its error means little"
             )
     for row, column in zip(*np.triu_indices(len(names), 1), strict=True):
         unsure = min(relative[row], relative[column]) > 1 - ENTANGLED
         if unsure and abs(correlation[row, column]) > ENTANGLED:
             flags.append(
                 f"{names[row]} and {names[column]}: correlation {correlation[row, column]:+.2f}: "
-                "these frames tell only a combination of the two"
+                "these frames determine only a combination of the two"
             )
     return flags

@@ -1,6 +1,6 @@
 """`plan`: the cheapest filter that is expected to do for a frame, and why.
 
-What a filter loses against the full one on a frame is predicted from statistics of the frame by a
+The loss of a filter against the full one on a frame is predicted from statistics of the frame by a
 linear rule for each candidate and number of samples,
 
     loss = c0 + c1 angular_variance + c2 layered_tiles + c3 log2(fast_speed)        [dB]
@@ -32,7 +32,7 @@ DEFAULT_TOLERANCE = 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """How to blur a frame.
+    """A filter with settings and parameters for a frame, and the reason for the choice.
 
     Attributes:
         filter: a key of `jaxblur.FILTERS`.
@@ -96,7 +96,7 @@ def plan(
     fast enough. With both: the fastest within both. With neither the tolerance is 0.5 dB.
 
     Args:
-        frame_or_statistics: a frame, or what `frame_statistics` says of it.
+        frame_or_statistics: a frame, or its `frame_statistics`.
         budget_ms: time for the frame in milliseconds.
         tolerance_db: PSNR that may be lost against the full filter, over what moves, >= 0 dB.
         machine_speed: how many times as fast this machine is as that of the constants.
@@ -130,7 +130,7 @@ def plan(
         raise ValueError(_refusal(candidates, budget_ms, tolerance_db))
     if tolerance_db is None:
         chosen = min(allowed, key=lambda c: (c.safe_loss, c.milliseconds))
-        why = f"of those within {budget_ms:g} ms it is expected to lose least"
+        why = f"of those within {budget_ms:g} ms it has the least expected loss"
     else:
         chosen = min(allowed, key=lambda c: (c.milliseconds, c.safe_loss))
         why = f"it is the fastest expected to stay within {tolerance_db:g} dB"
@@ -198,7 +198,7 @@ def _refusal(
     if tolerance_db is None:
         return (
             f"`budget_ms` must be at least {fastest.milliseconds:.3g} for this frame, got "
-            f"{budget_ms:g}; blur a smaller frame, or say how fast this machine is."
+            f"{budget_ms:g}; blur a smaller frame, or pass `machine_speed`."
         )
     kept = [c.milliseconds for c in candidates if c.safe_loss <= tolerance_db]
     return (

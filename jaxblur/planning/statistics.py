@@ -21,7 +21,7 @@ LAYERED = 1.1
 
 @dataclasses.dataclass(frozen=True)
 class FrameStatistics:
-    """What `plan` knows of a frame; tiles are squares of ``radius`` pixels.
+    """The statistics of a frame that `plan` uses; tiles are squares of ``radius`` pixels.
 
     Attributes:
         pixels: of the frame.
@@ -30,8 +30,8 @@ class FrameStatistics:
         radius: the largest half-spread in pixels, rounded up.
         moving_tiles: share of tiles with a half-spread above half a pixel.
         angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1.
-        layered_tiles: share of the moving tiles in which something moves otherwise than the
-            fastest point, and in another depth.
+        layered_tiles: share of the moving tiles that hold a pixel of another velocity and
+            depth than their fastest one.
     """
 
     pixels: int
@@ -44,7 +44,7 @@ class FrameStatistics:
 
     @property
     def features(self) -> Float[np.ndarray, " features"]:
-        """What the linear rules multiply: one, variance, layers, logarithm of speed."""
+        """Factors of the linear rules' constants: one, variance, layers, logarithm of speed."""
         speed = math.log2(max(self.fast_speed, MOVING))
         return np.array([1.0, self.angular_variance, self.layered_tiles, speed])
 
@@ -55,7 +55,7 @@ class FrameStatistics:
 
 
 def frame_statistics(frame: Frame) -> FrameStatistics:
-    """Measure what `plan` needs to know of a frame.
+    """Measure the statistics that `plan` uses.
 
     Args:
         frame: depth (H, W) and velocity (H, W, 2) half-spread in pixels are looked at.
@@ -105,7 +105,7 @@ def _layered(velocity: np.ndarray, depth: np.ndarray, radius: int) -> np.ndarray
     row, column = found[..., 0], found[..., 1]
     away = _speed(velocity - velocity[row, column]) > DIFFERENT
     other = depth[row, column]
-    # Sky is as deep as sky: infinity does not exceed infinity.
+    # Two depths of sky are equal: infinity does not exceed infinity.
     apart = np.maximum(depth, other) > LAYERED * np.minimum(depth, other)
     marked = np.pad(away & apart, ((0, -height % radius), (0, -width % radius)))
     rows, columns = marked.shape[0] // radius, marked.shape[1] // radius
