@@ -307,7 +307,7 @@ class _Run:
         cuts = find_cuts(speeds)
         for cut in cuts:
             LOG.warning(
-                "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f px; if the "
+                "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f; if the "
                 "camera cuts here, pass --cut %d to leave the frame unblurred.",
                 *(cut.frame, cut.speed, cut.usual, cut.frame),
             )
