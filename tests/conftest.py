@@ -1,5 +1,6 @@
 """Options, shared fixtures, and run-time type checks of the kernels."""
 
+import signal
 from pathlib import Path
 
 import jax
@@ -16,6 +17,10 @@ install_import_hook(
     ],
     "beartype.beartype",
 )
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # In the background of a script Ctrl-C is ignored, by this process and by those that it starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser):

@@ -165,9 +165,18 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_control_c_ends_a_running_process(tmp_path):
+@pytest.mark.parametrize(
+    ("sent", "status", "started_by"),
+    [
+        (signal.SIGINT, 130, ()),
+        (signal.SIGTERM, 143, ()),
+        # A background job of a script inherits SIGINT as ignored.
+        (signal.SIGTERM, 143, ("sh", "-c", "trap '' INT; exec \"$@\"", "sh")),
+    ],
+)
+def test_signals_end_a_running_process(tmp_path, sent, status, started_by):
     process = subprocess.Popen(
-        [sys.executable, "-c", NEVER_DONE, "blur", CAR, "-o", tmp_path / "out.exr"],
+        [*started_by, sys.executable, "-c", NEVER_DONE, "blur", CAR, "-o", tmp_path / "out.exr"],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -176,31 +185,43 @@ def test_control_c_ends_a_running_process(tmp_path):
     for line in process.stderr:
         if "depth:" in line:
             break
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     rest = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
+    assert process.returncode == status
     assert rest.endswith("jaxblur: error: interrupted\n") and "Traceback" not in rest
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interruption_waits_until_modules_are_loaded():
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_waits_until_modules_are_loaded(sent):
     loaded = []
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
-        signal.raise_signal(signal.SIGINT)
-        loaded.append("all")
+    with interrupts.with_termination() as terminated:
+        with pytest.raises(KeyboardInterrupt), interrupts.held_back():
+            signal.raise_signal(sent)
+            loaded.append("all")
     assert loaded == ["all"]
+    assert terminated == [sent] * (sent == signal.SIGTERM)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
-def test_an_interruption_that_is_lost_in_a_callback_comes_again():
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_that_is_lost_in_a_callback_comes_again(sent, monkeypatch):
     class Interrupted:
         def __del__(self):
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(sent)
 
-    with pytest.raises(KeyboardInterrupt), interrupts.never_lost():
-        one = Interrupted()
-        del one
-        time.sleep(30)
+    usual = signal.getsignal(signal.SIGINT)
+    if sent == signal.SIGTERM:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with pytest.raises(KeyboardInterrupt), interrupts.never_lost():
+            with interrupts.with_termination():
+                one = Interrupted()
+                del one
+                time.sleep(30)
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def test_a_closed_pipe_ends_quietly():

@@ -20,10 +20,15 @@ FEW = ("--filter", "guertin2014", "--samples", "3", "--radius", "8")
 SLOW = """
 import os, time
 rename = os.replace
+renamed = []
 
 def rename_slowly(*paths, **options):
     time.sleep(0.1)
+    frame = "out." in str(paths[1])
+    while frame and len(renamed) > 2 and os.path.exists(os.environ.get("STOP", "")):
+        time.sleep(0.01)
     rename(*paths, **options)
+    renamed.extend(paths[1:] * frame)
 
 os.replace = rename_slowly
 """
@@ -61,10 +66,15 @@ def test_killed_at_random_and_started_again_it_is_as_if_undisturbed(tmp_path):
 
 def test_what_a_farm_ends_leaves_whole_frames_only(tmp_path):
     outputs, again = undisturbed_and_again(tmp_path, 20, (60, 80))
-    with subprocess.Popen(again, stderr=subprocess.PIPE, text=True) as process:
+    # After three frames the process waits with the others until it has its signal.
+    (stop := tmp_path / "stop").touch()
+    environment = os.environ | {"STOP": str(stop)}
+    with subprocess.Popen(again, stderr=subprocess.PIPE, text=True, env=environment) as process:
         while process.poll() is None and not list(outputs[1].glob("out.*")):
             time.sleep(0.001)
         process.terminate()
+        time.sleep(0.5)
+        stop.unlink()
         _, lines = process.communicate(timeout=300)
     assert process.returncode == 143 and "interrupted" in lines.splitlines()[-1], lines
     left = sorted(outputs[1].iterdir())

@@ -180,7 +180,7 @@ def test_an_interruption_says_how_to_go_on(shot, monkeypatch):
     outcome = run(*command)
     assert outcome.status == 130
     message = outcome.err.splitlines()[-1]
-    found = re.search(r"interrupted; (\d) of 5 frames are written, and the same command", message)
+    found = re.search(r"interrupted; (\d) of 5 frames are written; the same command", message)
     assert found is not None and int(found[1]) == len(written(path))
     assert run(*command).status == 0
     assert written(path) == all_names()

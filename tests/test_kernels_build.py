@@ -1,18 +1,37 @@
 """How kernels are compiled and kept."""
 
 import concurrent.futures
+import functools
 import os
+import pathlib
+import time
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxblur._util.cache import checksum_file
 from jaxblur.kernels import Image, Outcome, each_pixel, sum_over
 from jaxblur.kernels.cpp import build, emit
 from jaxblur.kernels.tracing import trace
 from tests.test_kernels_operations import Planes, sum_of
 
 pytestmark = pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
+
+
+@pytest.fixture
+def kept_in(monkeypatch, tmp_path):
+    """The folder of caches of a user who keeps kernels; this process has registered none."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(build, "_keeps_kernels", True)
+    monkeypatch.setattr(build, "_register", functools.cache(build._register.__wrapped__))
+    return tmp_path
+
+
+@pytest.fixture
+def unregistered(monkeypatch):
+    """XLA accepts a name once in a process; with this a test can come back to a program."""
+    monkeypatch.setattr(build.jax.ffi, "register_ffi_target", lambda *_, **__: None)
 
 
 def scaled_sum(at, images, _, count):
@@ -74,51 +93,195 @@ def test_a_compiler_that_fails_is_asked_once_a_kernel_and_warned_of_once(
         sum_of(one)
 
 
-def test_kernels_are_made_once_and_kept_for_this_user_only(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
+def test_kernels_are_made_once_and_kept_for_this_user_only(kept_in):
     source = tiny_program(102)
     with concurrent.futures.ThreadPoolExecutor(3) as pool:
-        names = set(pool.map(build.register, [source] * 3))
-    folder = tmp_path / "jaxblur" / "kernels"
-    assert [path.name for path in folder.iterdir()] == [f"{name}.so" for name in names]
-    assert folder.stat().st_mode & 0o077 == 0
+        (name,) = set(pool.map(build.register, [source] * 3))
+    folder = kept_in / "jaxblur" / "kernels"
+    assert {path.name for path in folder.iterdir()} == {f"{name}.so", f"{name}.so.sha256"}
+    for path in (folder.parent, folder, *folder.iterdir()):
+        assert path.stat().st_mode & 0o077 == 0
 
 
-def test_the_oldest_kernels_go_first(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    monkeypatch.setattr(build, "MOST_KERNELS", 2)
-    folder = tmp_path / "jaxblur" / "kernels"
-    folder.mkdir(parents=True, mode=0o700)
-    for age, name in enumerate(("new", "old", "oldest")):
-        (folder / f"{name}.so").touch()
-        os.utime(folder / f"{name}.so", (0, 1000 - age))
-    # What another process removes meanwhile has no age.
-    (folder / "gone.so").symlink_to(folder / "nowhere")
-    name = build.register(tiny_program(104))
-    assert sorted(path.stem for path in folder.iterdir()) == sorted([name, "new"])
+def test_the_umask_does_not_open_the_folder(kept_in):
+    before = os.umask(0)
+    try:
+        name = build.register(tiny_program(109))
+    finally:
+        os.umask(before)
+    folder = kept_in / "jaxblur" / "kernels"
+    for path in (folder.parent, folder, folder / f"{name}.so", folder / f"{name}.so.sha256"):
+        assert path.stat().st_mode & 0o077 == 0
 
 
-def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(monkeypatch, tmp_path):
-    (tmp_path / "jaxblur").write_text("a file where the folder should be")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
-    assert build.register(tiny_program(103)).startswith("jaxblur_sum_")
+def library_of(kept_in, source):
+    """Compile a program, then forget that this process did."""
+    name = build.register(source)
+    build._register.cache_clear()
+    return kept_in / "jaxblur" / "kernels" / f"{name}.so"
 
 
-def test_a_failure_is_remembered_for_its_program_alone(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
+def truncated(library):
+    library.write_bytes(library.read_bytes()[:3000])
+
+
+def zeroed(library):
+    library.write_bytes(bytes(library.stat().st_size))
+
+
+def one_bit_flipped(library):
+    data = bytearray(library.read_bytes())
+    data[len(data) // 2] ^= 1
+    library.write_bytes(data)
+
+
+def without_checksum(library):
+    checksum_file(library).unlink()
+
+
+def checksum_of_no_text(library):
+    checksum_file(library).write_bytes(b"\xff" * 64)
+
+
+def writable_by_others(library):
+    library.chmod(0o777)
+
+
+def another_library_behind_a_link(library):
+    other = library.with_name("other.so")
+    library.rename(other)
+    library.symlink_to(other)
+
+
+def a_pipe(library):
+    library.unlink()
+    os.mkfifo(library)
+
+
+@pytest.fixture
+def compiled(kept_in, unregistered, one_library, monkeypatch):
+    """Programs compiled; instead of the compiler's work there is always a copy of one library."""
+    programs = []
+
+    def copy(source, library):
+        programs.append(source)
+        (made := kept_in / "kernel.so").write_bytes(one_library[1])
+        build._keep(made, library)
+
+    monkeypatch.setattr(build, "_compile", copy)
+    return programs
+
+
+@pytest.fixture(scope="module")
+def one_library():
+    """A program, and its library's bytes."""
+    source = tiny_program(114)
+    key = build.register(source)
+    return source, (build._folder() / f"{key}.so").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *(truncated, zeroed, one_bit_flipped, without_checksum, checksum_of_no_text),
+        *(writable_by_others, another_library_behind_a_link, a_pipe),
+    ],
+)
+def test_a_library_that_is_not_as_it_was_compiled_is_compiled_again(
+    kept_in, compiled, one_library, damage
+):
+    source, _ = one_library
+    library = library_of(kept_in, source)
+    damage(library)
+    assert build.register(source) == library.stem
+    assert compiled == [source.replace("@NAME@", library.stem)] * 2
+    assert build._is_intact(library)
+
+
+def test_an_intact_library_is_not_compiled_again(kept_in, compiled, one_library):
+    library_of(kept_in, one_library[0])
+    build.register(one_library[0])
+    assert len(compiled) == 1
+
+
+def test_another_compiler_does_not_share_libraries(kept_in, unregistered, monkeypatch, tmp_path):
+    build._machine.cache_clear()
+    names = []
+    for version in ("12.1", "12.2"):
+        compiler = tmp_path / "c++"
+        compiler.write_text(
+            f'#!/bin/sh\n[ "$1" = --version ] && echo {version} && exit\n'
+            f'exec {build.find_compiler()} "$@"\n'
+        )
+        compiler.chmod(0o755)
+        with monkeypatch.context() as patch:
+            patch.setattr(build, "find_compiler", lambda path=str(compiler): path)
+            names.append(build.register(tiny_program(114)))
+        build._register.cache_clear()
+        build._machine.cache_clear()
+    assert names[0] != names[1]
+
+
+def is_running(process):
+    try:
+        status = pathlib.Path("/proc", process, "stat").read_text()
+    except OSError:
+        return False
+    return status.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_a_compiler_that_hangs_is_ended_and_not_asked_again(kept_in, monkeypatch, tmp_path):
+    hanging = tmp_path / "c++"
+    hanging.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && exit\nsleep 99 &\necho $! >> $0.calls\nsleep 99\n'
+    )
+    hanging.chmod(0o755)
+    monkeypatch.setattr(build, "find_compiler", lambda: str(hanging))
+    monkeypatch.setattr(build, "TIME_LIMIT", 0.5)
+    build.forget_failures()
+    try:
+        start = time.monotonic()
+        for count in (110, 111):
+            with pytest.raises(build.BuildFailed, match=r"took more than 0.5 s"):
+                build.register(tiny_program(count))
+        assert time.monotonic() - start < 20
+        (child,) = (tmp_path / "c++.calls").read_text().split()
+        assert not is_running(child), "a process of the compiler is left"
+    finally:
+        build.forget_failures()
+        build._machine.cache_clear()
+
+
+def test_what_a_killed_compilation_left_is_removed(kept_in, unregistered):
+    folder = library_of(kept_in, tiny_program(114)).parent
+    for name, age in (("old", build.LEFT_OVER + 100), ("recent", 10)):
+        left = folder / f"{build.BUILDING}{name}"
+        left.mkdir()
+        (left / "kernel.cc").touch()
+        os.utime(left, (time.time() - age,) * 2)
+    build.register(tiny_program(112))
+    assert [path.name for path in folder.iterdir() if path.is_dir()] == [f"{build.BUILDING}recent"]
+
+
+def test_a_cache_folder_that_cannot_be_used_is_no_obstacle(kept_in, caplog):
+    (kept_in / "jaxblur").write_text("a file where the folder should be")
+    for count in (103, 113):
+        assert build.register(tiny_program(count)).startswith("jaxblur_sum_")
+    (warning,) = caplog.messages
+    assert warning == (
+        f"native code is not kept between runs: {kept_in / 'jaxblur'} is not a folder; remove it"
+    )
+    assert (kept_in / "jaxblur").read_text() == "a file where the folder should be"
+
+
+def test_a_failure_is_remembered_for_its_program_alone(kept_in, monkeypatch):
     for _ in range(2):
         with pytest.raises(build.BuildFailed, match="error"):
             build.register("this is no program @NAME@")
     assert build.register(tiny_program(105)).startswith("jaxblur_sum_")
 
 
-def test_a_second_size_compiles_nothing(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
+def test_a_second_size_compiles_nothing(kept_in, monkeypatch):
     compiled = []
     compile_ = build._compile
     monkeypatch.setattr(
@@ -135,9 +298,7 @@ def test_a_second_size_compiles_nothing(monkeypatch, tmp_path):
     assert len(compiled) == 1
 
 
-def test_compiling_is_said_once(monkeypatch, tmp_path, caplog):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(build, "_keeps_kernels", True)
+def test_compiling_is_said_once(kept_in, monkeypatch, caplog):
     monkeypatch.setattr(build, "_said", False)
     with caplog.at_level("INFO", logger="jaxblur"):
         for count in (107, 108):

@@ -1,14 +1,153 @@
-"""Folders for files that jaxblur can generate again."""
+"""The folder of compiled code, which later runs load: only the user may be able to change it."""
 
+import itertools
 import os
 import pathlib
+import stat
+from collections.abc import Iterator
+
+LARGEST = 512_000_000
+"""Bytes of compiled code that are kept."""
+TRIMMED = 0.8
+"""Share of `LARGEST` that is left after old files are removed."""
+SHARED = stat.S_IWGRP | stat.S_IWOTH
+
+
+class UnsafeFolderError(Exception):
+    """Other users could put code into a folder, or it cannot be used."""
 
 
 def cache_folder() -> pathlib.Path:
     """Return the folder for compiled code: ``$XDG_CACHE_HOME/jaxblur`` or ``~/.cache/jaxblur``.
 
     Raises:
-        RuntimeError: there is no home folder.
+        UnsafeFolderError: there is no home folder.
     """
     base = os.environ.get("XDG_CACHE_HOME")
-    return (pathlib.Path(base) if base else pathlib.Path.home() / ".cache") / "jaxblur"
+    try:
+        home = pathlib.Path(base) if base else pathlib.Path.home() / ".cache"
+    except RuntimeError as error:
+        raise UnsafeFolderError("there is no home folder") from error
+    return home / "jaxblur"
+
+
+def private_folder(name: str = "") -> pathlib.Path:
+    """Return the folder for compiled code, or one in it, that no other user can change.
+
+    Missing folders are made for this user only, whatever the umask. Links above `cache_folder` are
+    followed once, so that the result holds none; `cache_folder` and ``name`` must not be links.
+    Every folder on the way to it must belong to this user or to root, and no other user may be able
+    to rename what is in it: it is not writable by group or others, or, above the folder that holds
+    `cache_folder`, has the sticky bit as ``/tmp`` has.
+
+    Args:
+        name: of a folder in `cache_folder`; empty for that itself.
+
+    Returns:
+        An absolute path.
+
+    Raises:
+        UnsafeFolderError: the folder can be changed by others, or cannot be used; the message names
+            the folder at fault and the remedy.
+    """
+    folder = cache_folder()
+    try:
+        if not hasattr(os, "getuid"):
+            # Windows, where a user's folders have no permissions that others could use.
+            (folder / name).mkdir(parents=True, exist_ok=True)
+            return folder / name
+        base = folder.parent.resolve()
+        for above in (*reversed(base.parents), base):
+            _make(above)
+            _check_above(above, sticky_is_enough=above != base)
+        path = base
+        for part in filter(None, (folder.name, name)):
+            path /= part
+            _make(path)
+            _check_own(path)
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise UnsafeFolderError(f"{path} is not writable")
+    except OSError as error:
+        raise UnsafeFolderError(f"{error.filename}: {error.strerror}") from error
+    return path
+
+
+def checksum_file(path: pathlib.Path) -> pathlib.Path:
+    """Return the file beside compiled code that holds its SHA-256."""
+    return path.with_name(path.name + ".sha256")
+
+
+def is_own_file(status: os.stat_result) -> bool:
+    """Whether a file is a regular one that belongs to this user, and only this user can write.
+
+    Args:
+        status: of the opened file.
+    """
+    return (
+        stat.S_ISREG(status.st_mode)
+        and status.st_uid == os.getuid()
+        and not status.st_mode & SHARED
+    )
+
+
+def _make(folder: pathlib.Path) -> None:
+    """Make a folder for this user only, unless there is something of its name."""
+    try:
+        # The umask can take permissions away from the owner, so they are set again.
+        os.mkdir(folder, 0o700)
+        os.chmod(folder, 0o700)
+    except FileExistsError:
+        pass
+
+
+def _check_above(folder: pathlib.Path, sticky_is_enough: bool) -> None:
+    status = folder.stat()
+    if status.st_uid not in (os.getuid(), 0):
+        raise UnsafeFolderError(f"{folder} belongs to another user")
+    sticky = sticky_is_enough and status.st_mode & stat.S_ISVTX
+    if status.st_mode & SHARED and not sticky:
+        raise UnsafeFolderError(f"{folder} is writable by other users; chmod go-w {folder}")
+
+
+def _check_own(folder: pathlib.Path) -> None:
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
+        raise UnsafeFolderError(f"{folder} is not a folder; remove it")
+    if status.st_uid != os.getuid():
+        raise UnsafeFolderError(f"{folder} belongs to another user")
+    if status.st_mode & SHARED:
+        raise UnsafeFolderError(
+            f"{folder} was writable by other users, who may have changed it; remove it"
+        )
+
+
+def trim_cache() -> None:
+    """Remove the compiled code that was used longest ago, if there is more than `LARGEST` bytes.
+
+    Only files with the names that jax and jaxblur give are counted and removed. A process that has
+    loaded one keeps it.
+    """
+    try:
+        folder = private_folder()
+    except UnsafeFolderError:
+        return
+    found = sorted(_compiled_code(folder), reverse=True)
+    sizes = list(itertools.accumulate(size for _, size, _ in found))
+    if not sizes or sizes[-1] <= LARGEST:
+        return
+    for (_, _, path), size in zip(found, sizes, strict=True):
+        if size > TRIMMED * LARGEST:
+            path.unlink(missing_ok=True)
+            checksum_file(path).unlink(missing_ok=True)
+
+
+def _compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
+    """Time of last use, bytes and path of each file of compiled code."""
+    for pattern in ("*-cache", "kernels/jaxblur_*.so"):
+        for path in folder.glob(pattern):
+            try:
+                status = path.lstat()
+            except FileNotFoundError:
+                continue
+            if stat.S_ISREG(status.st_mode):
+                yield max(status.st_atime, status.st_mtime), status.st_size, path

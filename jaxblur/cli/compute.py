@@ -6,7 +6,7 @@ import gc
 import logging
 import os
 
-from jaxblur._util.cache import cache_folder
+from jaxblur._util.cache import UnsafeFolderError, private_folder, trim_cache
 
 from .interrupts import held_back
 
@@ -27,10 +27,11 @@ def _spare_the_collector() -> None:
 def start_jax(compile_cache: bool) -> None:
     """Import jax and let it keep compiled code between runs.
 
-    A cache folder that cannot be used is a warning: the run is slower, not wrong.
+    A cache folder that cannot be used, or that others can change, is a warning: the run is slower,
+    not wrong.
 
     Args:
-        compile_cache: keep compiled code in `cache_folder`.
+        compile_cache: keep compiled code in `jaxblur._util.cache.private_folder`.
     """
     # The C++ part of jax logs messages about cached code that a user can do nothing about.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
@@ -44,12 +45,11 @@ def start_jax(compile_cache: bool) -> None:
     if not compile_cache:
         return
     try:
-        folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        if not os.access(folder, os.W_OK):
-            raise PermissionError(f"{folder} is not writable")
-    except (OSError, RuntimeError) as error:
+        folder = private_folder()
+    except UnsafeFolderError as error:
+        keep_kernels(False)
         LOG.warning("no compile cache: %s; pass --no-compile-cache to silence this", error)
         return
+    trim_cache()
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)

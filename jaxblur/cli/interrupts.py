@@ -13,6 +13,17 @@ _SOON = 0.01
 """Seconds after which an interruption is repeated."""
 
 
+_held: list[int] | None = None
+"""Signals that arrived while interruptions are held back; None if they are not."""
+
+
+def _deliver(number: int, _: Any) -> None:
+    """Raise KeyboardInterrupt for a signal, now or at the end of `held_back`."""
+    if _held is None:
+        raise KeyboardInterrupt
+    _held.append(number)
+
+
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
     """Delay an interruption to the end of the block; one during an import can crash the modules.
@@ -20,16 +31,20 @@ def held_back() -> Iterator[None]:
     Raises:
         KeyboardInterrupt: there was one.
     """
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not usual or threading.current_thread() is not threading.main_thread():
+    global _held
+    if threading.current_thread() is not threading.main_thread() or _held is not None:
         yield
         return
-    came: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    _held = came = []
+    if usual:
+        signal.signal(signal.SIGINT, _deliver)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if usual:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        _held = None
     if came:
         raise KeyboardInterrupt
 
@@ -37,6 +52,8 @@ def held_back() -> Iterator[None]:
 @contextlib.contextmanager
 def with_termination() -> Iterator[list[int]]:
     """Handle SIGTERM, with which farms end a job, like Ctrl-C.
+
+    Works where Ctrl-C does not: background jobs of a shell script inherit SIGINT as ignored.
 
     Yields:
         A list that is not empty once the signal has arrived.
@@ -47,9 +64,9 @@ def with_termination() -> Iterator[list[int]]:
         yield came
         return
 
-    def interrupt(number: int, _: Any) -> None:
+    def interrupt(number: int, frame: Any) -> None:
         came.append(number)
-        signal.raise_signal(signal.SIGINT)
+        _deliver(number, frame)
 
     signal.signal(signal.SIGTERM, interrupt)
     try:
@@ -81,6 +98,7 @@ def _interrupt() -> None:
     main = threading.main_thread().ident
     if os.name == "nt" or main is None:
         _thread.interrupt_main()
-    else:
-        # Unlike `_thread.interrupt_main` it also ends a wait of the main thread.
-        signal.pthread_kill(main, signal.SIGINT)
+        return
+    # Unlike `_thread.interrupt_main` a signal also ends a wait of the main thread.
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    signal.pthread_kill(main, signal.SIGTERM if ignored else signal.SIGINT)

@@ -1,6 +1,7 @@
 """Compile kernels, keep them between runs, and make them known to XLA."""
 
 import atexit
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -9,13 +10,23 @@ import os
 import pathlib
 import platform
 import shutil
+import signal
 import subprocess
 import tempfile
 import threading
+import time
+from collections.abc import Sequence
 
 import jax
+import jaxlib
 
-from ..._util.cache import cache_folder
+from ..._util.cache import (
+    UnsafeFolderError,
+    checksum_file,
+    is_own_file,
+    private_folder,
+    trim_cache,
+)
 
 LOG = logging.getLogger("jaxblur")
 FLAGS = (
@@ -25,15 +36,20 @@ FLAGS = (
 # Tried in this order: compilers differ in the flag for "this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
-MOST_KERNELS = 300
-"""Kernels that are kept, about 30 KB each; the oldest are removed first."""
+TIME_LIMIT = 300
+"""Seconds that the compiler has for one program; the largest take about ten."""
+LEFT_OVER = 2 * len(MACHINE_FLAGS) * TIME_LIMIT
+"""Seconds after which a folder of a compilation belongs to a process that was killed."""
+
+BUILDING = "building_"
+"""How names of folders of compilations begin."""
 
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
 _said = False
 """Whether this process has said that it compiles."""
 _failures: "dict[tuple[str, str], BuildFailed]" = {}
-"""Why the compiler refused a program, by compiler and program."""
+"""Why the compiler refused a program, by compiler and program; any program if that is empty."""
 
 
 class BuildFailed(Exception):
@@ -50,27 +66,70 @@ def find_compiler() -> str | None:
 
 @functools.cache
 def _machine() -> str:
-    """The machine that kernels are compiled for; computers with one home do not share kernels."""
+    """The machine and the software that kernels are compiled for and by.
+
+    Computers that share a home folder, and versions of compilers, do not share kernels.
+    """
     try:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
         kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
     except OSError:
-        kinds = {platform.processor()}
-    return "\n".join([platform.machine(), jax.__version__, find_compiler() or "", *sorted(kinds)])
+        kinds = {
+            platform.processor(),
+            *_words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
+        }
+    compiler = find_compiler() or ""
+    versions = [jax.__version__, jaxlib.__version__, compiler, *_words_of(compiler, "--version")]
+    return "\n".join([platform.machine(), *versions, *sorted(kinds)])
+
+
+def _words_of(*command: str) -> list[str]:
+    """The lines that a command prints; none if it fails or takes long."""
+    try:
+        done = _run(command, limit=10)
+    except (OSError, subprocess.SubprocessError):
+        return []
+    return done.stdout.splitlines()
+
+
+def _run(command: Sequence[str], limit: float) -> "subprocess.CompletedProcess[str]":
+    """Run a command; one that exceeds its time is ended together with the processes it started.
+
+    Raises:
+        subprocess.TimeoutExpired: it took more than ``limit`` seconds.
+    """
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            out, errors = process.communicate(timeout=limit)
+        except BaseException:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            raise
+    return subprocess.CompletedProcess(command, process.returncode, out, errors)
 
 
 def _folder() -> pathlib.Path:
-    """The folder of kernels, readable by this user only; a temporary one if it cannot be used."""
+    """The folder of kernels; a temporary one if they are not kept, or others could change it."""
     if not _keeps_kernels:
         return _temporary_folder()
     try:
-        folder = cache_folder() / "kernels"
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
-            return folder
-    except (OSError, RuntimeError):
-        pass
-    return _temporary_folder()
+        return private_folder("kernels")
+    except UnsafeFolderError as error:
+        _warn_once(str(error))
+        return _temporary_folder()
+
+
+@functools.cache
+def _warn_once(reason: str) -> None:
+    LOG.warning("native code is not kept between runs: %s", reason)
 
 
 def keep_kernels(keep: bool) -> None:
@@ -92,15 +151,19 @@ def _temporary_folder() -> pathlib.Path:
 
 
 def _compile(source: str, library: pathlib.Path) -> None:
-    """Compile beside the target, then rename: another process never sees half a library.
+    """Compile in a folder of its own, then rename: no process ever sees half a library.
 
     Raises:
-        BuildFailed: with the compiler's words; a program refused once is refused again.
+        BuildFailed: with the compiler's words, or since it took too long; a program refused once is
+            refused again, and a compiler that takes too long is not asked again.
+        OSError: the disk refused.
     """
     compiler = find_compiler() or "c++"
-    if (compiler, source) in _failures:
-        raise _failures[compiler, source]
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+    for known in ((compiler, source), (compiler, "")):
+        if known in _failures:
+            raise _failures[known]
+    _remove_left_over(library.parent)
+    with tempfile.TemporaryDirectory(prefix=BUILDING, dir=library.parent) as folder:
         program = pathlib.Path(folder, "kernel.cc")
         program.write_text(source, encoding="utf-8")
         built = program.with_suffix(".so")
@@ -108,16 +171,75 @@ def _compile(source: str, library: pathlib.Path) -> None:
         for machine in MACHINE_FLAGS:
             command = [compiler, *FLAGS, *machine, f"-I{jax.ffi.include_dir()}"]
             command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            try:
+                done = _run(command, TIME_LIMIT)
+            except subprocess.TimeoutExpired as error:
+                failure = BuildFailed(
+                    f"the C++ compiler {compiler} took more than {TIME_LIMIT} s for a kernel"
+                )
+                _failures[compiler, ""] = failure
+                raise failure from error
             if done.returncode == 0:
-                os.replace(built, library)
-                _forget_old(library.parent)
+                _keep(built, library)
+                if _keeps_kernels:
+                    trim_cache()
                 return
             words = done.stderr
     error = _first_error(words)
     failure = BuildFailed(f"the C++ compiler {compiler} refused a kernel: {error}")
     _failures[compiler, source] = failure
     raise failure
+
+
+def _keep(built: pathlib.Path, library: pathlib.Path) -> None:
+    """Move a library to its place, with its checksum beside it; both are whole on disk first."""
+    checksum = built.with_suffix(".sha256")
+    checksum.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+    for path in (built, checksum):
+        # The linker's file has the permissions that the umask leaves.
+        path.chmod(0o700)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+    os.replace(checksum, checksum_file(library))
+    os.replace(built, library)
+
+
+def _is_intact(library: pathlib.Path) -> bool:
+    """Whether a library is there, is as it was compiled, and nobody else can write it."""
+    try:
+        return hashlib.sha256(_own_bytes(library)).hexdigest() == _own_bytes(
+            checksum_file(library)
+        ).decode("ascii", "replace")
+    except OSError:
+        return False
+
+
+def _own_bytes(path: pathlib.Path) -> bytes:
+    """The contents of a file that only this user can write.
+
+    Raises:
+        OSError: there is no such file; links do not count.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with open(descriptor, "rb") as file:
+        if not is_own_file(os.fstat(descriptor)):
+            raise PermissionError(f"{path} is not a file of this user alone")
+        return file.read()
+
+
+def _remove_left_over(folder: pathlib.Path) -> None:
+    """Remove the folders of compilations whose processes were killed."""
+    for path in folder.glob(f"{BUILDING}*"):
+        if time.time() - _made(path) > LEFT_OVER and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _made(path: pathlib.Path) -> float:
+    """When a folder was made; just now if another process has just removed it."""
+    try:
+        return path.lstat().st_mtime
+    except FileNotFoundError:
+        return time.time()
 
 
 def forget_failures() -> None:
@@ -129,21 +251,6 @@ def _first_error(words: str) -> str:
     """The line of a compiler's output that says the error."""
     lines = words.strip().splitlines() or ["it printed nothing"]
     return next((line for line in lines if "error" in line), lines[0])
-
-
-def _forget_old(folder: pathlib.Path) -> None:
-    """Remove the oldest kernels beyond the number kept; a process that has loaded one keeps it."""
-    kernels = sorted(folder.glob("*.so"), key=_made, reverse=True)
-    for path in kernels[MOST_KERNELS:]:
-        path.unlink(missing_ok=True)
-
-
-def _made(path: pathlib.Path) -> float:
-    """When a file was made; long ago if another process has just removed it."""
-    try:
-        return path.stat().st_mtime
-    except FileNotFoundError:
-        return 0
 
 
 def register(source: str) -> str:
@@ -176,7 +283,7 @@ def _register(source: str) -> str:
     name = f"jaxblur_sum_{key}"
     library = _folder() / f"{name}.so"
     try:
-        if not library.exists():
+        if not _is_intact(library):
             _say_once()
             LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
