@@ -118,7 +118,12 @@ def library_of(kept_in, source):
     """Compile a program, then forget that this process did."""
     name = build.register(source)
     build._register.cache_clear()
-    return kept_in / "jaxblur" / "kernels" / f"{name}.so"
+    library = kept_in / "jaxblur" / "kernels" / f"{name}.so"
+    # A file of its own: this process has mapped the other one.
+    (copy := library.with_name("copy")).write_bytes(library.read_bytes())
+    copy.chmod(0o700)
+    copy.rename(library)
+    return library
 
 
 def truncated(library):

@@ -269,7 +269,7 @@ class _Run:
             pairs = zip(map(_times, todo), before, strict=True)
             written = sum(None not in now and now != earlier for now, earlier in pairs)
             raise KeyboardInterrupt(
-                f"interrupted; {written} of {len(todo)} frames are written, and the same command "
+                f"interrupted; {written} of {len(todo)} frames are written; the same command "
                 "continues from there"
             ) from interruption
         finally:
