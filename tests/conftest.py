@@ -1,6 +1,10 @@
 """Options, shared fixtures, and run-time type checks of the kernels."""
 
+import atexit
+import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import jax
@@ -21,6 +25,22 @@ install_import_hook(
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a script Ctrl-C is ignored, by this process and by those that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+COMPILED = "JAX_COMPILATION_CACHE_DIR"
+if COMPILED not in os.environ:
+    # Programs that several tests compile are compiled once; the processes that pytest and tests
+    # start inherit the folder. Set the variable to keep compiled programs between runs.
+    folder = tempfile.mkdtemp(prefix="jaxblur_tests_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ |= {
+        COMPILED: folder,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def pytest_addoption(parser):

@@ -238,8 +238,11 @@ def test_a_closed_pipe_ends_quietly():
 
 
 def test_verbose_shows_where_an_error_came_from_and_quiet_hides_remarks(tmp_path):
-    loud = run("info", tmp_path / "missing.exr", "-v")
-    assert loud.status == 2 and "Traceback" in loud.err
+    missing = tmp_path / "missing\x1b[31m.exr"
+    loud, louder = (run("info", missing, option) for option in ("-v", "-vv"))
+    assert loud.status == louder.status == 2
+    assert "Traceback" not in loud.err and loud.err.splitlines() == louder.err.splitlines()[-1:]
+    assert "Traceback" in louder.err and "\x1b" not in louder.err
     truth = write_single(tmp_path / "truth.exr", plain_frame((20, 30)))
     late = ("blur", CAR, "-o", tmp_path / "out.exr", "--truth", truth)
     bad, quiet = run(*late), run(*late, "-q")

@@ -9,6 +9,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, srgb
+from jaxblur.cli import stages
 from jaxblur.settings import choices_of
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
@@ -336,3 +337,21 @@ def test_the_truth_may_be_a_png(tmp_path):
     outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW, "--truth", png)
     # Within the rounding to 8 bits of the figure in the data's README.
     assert abs(float(outcome.out.splitlines()[2].split()[1]) - 22.15) < 0.05
+
+
+@pytest.mark.parametrize("role", ["input", "depth"])
+@pytest.mark.parametrize("output", ["out.exr", "out.png"])
+def test_an_input_that_changes_meanwhile_is_an_error(tmp_path, monkeypatch, role, output):
+    channels = plain_frame((16, 16))
+    files = {name: write_single(tmp_path / f"{name}.exr", channels) for name in ("input", "depth")}
+    blur = stages.blur
+
+    def replaced_meanwhile(*arguments):
+        write_single(files[role], channels | {"Z": channels["Z"] + 1})
+        return blur(*arguments)
+
+    monkeypatch.setattr(stages, "blur", replaced_meanwhile)
+    command = ("blur", files["input"], "-o", tmp_path / output, "--depth-from", files["depth"])
+    message = refused(*command, "--filter", "pixel_velocity")
+    assert f"{role}.exr: changed while it was being used; nothing was written" in message
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["depth.exr", "input.exr"]

@@ -1,5 +1,7 @@
 """Gradients of the filters: right away from kinks, finite everywhere."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -121,10 +123,10 @@ def kink_frames():
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_value_and_gradients_are_finite_at_every_kink(name):
-    for settings in (
-        jaxblur.GuertinSettings(samples=5, radius=4, fetch="bilinear"),
-        jaxblur.GuertinSettings(samples=5, radius=4, tile_choice="expected"),
-    ):
+    choices = [jaxblur.GuertinSettings(samples=5, radius=4, fetch="bilinear")]
+    if name == "guertin2014":
+        choices += [dataclasses.replace(choices[0], fetch="nearest", tile_choice="expected")]
+    for settings in choices:
         function = blur(name, settings, None)
 
         @jax.jit

@@ -169,8 +169,10 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("channels", [1, 2, 5])
-@pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012", "pixel_velocity"])
+@pytest.mark.parametrize(
+    ("name", "channels"),
+    [("guertin2014", 1), ("guertin2014", 5), ("layered", 2), ("layered", 5), ("pixel_velocity", 1)],
+)
 def test_any_number_of_channels_has_a_native_form(name, channels):
     frame = make_frame((5, 19))
     color = jnp.tile(frame.color, 2)[..., :channels]

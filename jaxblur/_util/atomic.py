@@ -5,7 +5,8 @@ import os
 import pathlib
 import re
 import secrets
-from collections.abc import Iterator
+import stat
+from collections.abc import Callable, Iterator
 
 from .errors import JaxblurIOError, PathLike
 
@@ -15,13 +16,17 @@ except ImportError:
     # Windows: temporary files of killed processes are not removed.
     fcntl = None
 
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_NO_WAITING = getattr(os, "O_NONBLOCK", 0)
+
 
 @contextlib.contextmanager
-def replacing(path: PathLike) -> Iterator[str]:
+def replacing(path: PathLike, last_check: Callable[[], None] | None = None) -> Iterator[str]:
     """Yield a hidden temporary file in the same folder; move it into place if the body succeeds.
 
     Args:
         path: the file to be written; an older one stays unchanged until the new one is complete.
+        last_check: called when the new file is complete; if it raises, nothing is moved.
 
     Yields:
         Path of the temporary file, which is empty and has the extension of ``path``.
@@ -41,6 +46,8 @@ def replacing(path: PathLike) -> Iterator[str]:
         _lock(descriptor)
         yield os.fspath(temporary)
         os.fsync(descriptor)
+        if last_check is not None:
+            last_check()
         os.replace(temporary, target)
         _sync(target.parent)
     except OSError as error:
@@ -66,20 +73,27 @@ def _lock(descriptor: int) -> bool:
 def _remove_orphans(target: pathlib.Path) -> None:
     """Remove temporary files of a target whose processes were killed."""
     pattern = re.compile(rf"\.{re.escape(target.stem)}\.[0-9a-f]{{8}}{re.escape(target.suffix)}")
-    for name in filter(pattern.fullmatch, os.listdir(target.parent)):
+    names: list[str] = []
+    with contextlib.suppress(OSError):
+        names = os.listdir(target.parent)
+    for name in filter(pattern.fullmatch, names):
         orphan = target.parent / name
-        with contextlib.suppress(FileNotFoundError):
-            descriptor = os.open(orphan, os.O_WRONLY)
+        # It may be gone, a link, or of another user, who has to remove it.
+        with contextlib.suppress(OSError):
+            # A pipe of that name would wait for its reader.
+            descriptor = os.open(orphan, os.O_WRONLY | _NO_FOLLOW | _NO_WAITING)
             try:
-                if _lock(descriptor):
+                if stat.S_ISREG(os.fstat(descriptor).st_mode) and _lock(descriptor):
                     orphan.unlink(missing_ok=True)
             finally:
                 os.close(descriptor)
 
 
-def _sync(path: pathlib.Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _sync(folder: pathlib.Path) -> None:
+    """Make the rename last; the file is whole and in its place whether this succeeds or not."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

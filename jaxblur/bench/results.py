@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import hashlib
 import io
+import math
 import pathlib
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -23,6 +24,8 @@ _NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show",
 _SOURCES = {".py", ".cc", ".h"}
 SETTINGS = tuple(field.name for field in dataclasses.fields(GuertinSettings))
 """Columns: the settings that every filter has, and those of guertin2014."""
+POSITIVE = ("ms", "cpu_ms", "calibration_ms", "rounds")
+"""Figures that others are divided by."""
 _NUMBERS = {"samples": int, "radius": int, "spacing": float}
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
 IDENTITY_COLUMNS = (*SUBJECT_COLUMNS, "method", *SETTINGS)
@@ -179,18 +182,26 @@ def read_rows(path: pathlib.Path) -> list[Row]:
     """
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
-        missing = {"scene", "method", "ms"} - set(reader.fieldnames or ())
-        if missing:
+        try:
+            missing = {"scene", "method", "ms"} - set(reader.fieldnames or ())
+            if missing:
+                raise ValueError(
+                    f"{path}: has no column {', '.join(sorted(missing))}; give a file that "
+                    "`jaxblur bench` wrote."
+                )
+            return [_parse(path, reader.line_num, record) for record in reader]
+        except (csv.Error, UnicodeDecodeError) as error:
             raise ValueError(
-                f"{path}: has no column {', '.join(sorted(missing))}; give a file that "
-                "`jaxblur bench` wrote."
-            )
-        return [_parse(path, reader.line_num, record) for record in reader]
+                f"{path}: is not a table ({error}); give a file that `jaxblur bench` wrote."
+            ) from error
 
 
 def _parse(path: pathlib.Path, line: int, record: dict[str, Any]) -> Row:
     try:
         figures = {n: float(text) for n in FIGURE_COLUMNS if (text := record.get(n))}
+        for name, value in figures.items():
+            if math.isnan(value) or (name in POSITIVE and not 0 < value < math.inf):
+                raise ValueError(f"{name} must be a number above 0, got {value:g}")
     except ValueError as error:
         raise ValueError(f"{path}: line {line}: {error}; remove the line.") from error
     texts = {column: record.get(column) or "" for column in IDENTITY_COLUMNS}

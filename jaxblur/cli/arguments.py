@@ -54,7 +54,13 @@ def add_command(commands: Any, name: str, summary: str, run: Any) -> Parser:
     parser = commands.add_parser(name, help=summary, description=summary)
     parser.set_defaults(run=run)
     loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="say more on stderr")
+    loudness.add_argument(
+        "-v",
+        "--verbose",
+        action="count",
+        default=0,
+        help="say more on stderr; -vv also where an error came from",
+    )
     loudness.add_argument("-q", "--quiet", action="store_true", help="errors only on stderr")
     return parser
 

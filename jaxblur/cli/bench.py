@@ -191,12 +191,7 @@ def _check(arguments: argparse.Namespace) -> None:
 def _read(path: pathlib.Path) -> list[Any]:
     from jaxblur import bench
 
-    try:
-        return bench.read_rows(path)
-    except UnicodeDecodeError as error:
-        raise CommandError(
-            f"{path}: is not text; give a file that `jaxblur bench` wrote."
-        ) from error
+    return bench.read_rows(path)
 
 
 def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, Any]]:
@@ -206,16 +201,19 @@ def _jobs(arguments: argparse.Namespace, old: Sequence[Any]) -> list[tuple[Any, 
         return [(subject, case) for subject in subjects for case in _cases(arguments)]
     from jaxblur import bench
 
-    rows = [row for row in bench.latest(old) if _is_asked_for(arguments, row.case)]
-    if not subjects:
-        jobs = bench.catalogue_jobs(rows)
-    else:
-        jobs = [
-            (subject, row.case)
-            for subject in subjects
-            for row in rows
-            if bench.identity(subject, row.case) == row.identity
-        ]
+    try:
+        rows = [row for row in bench.latest(old) if _is_asked_for(arguments, row.case)]
+        if not subjects:
+            jobs = bench.catalogue_jobs(rows)
+        else:
+            jobs = [
+                (subject, row.case)
+                for subject in subjects
+                for row in rows
+                if bench.identity(subject, row.case) == row.identity
+            ]
+    except ValueError as error:
+        raise CommandError(f"{arguments.compare}: {error}") from error
     if not jobs:
         asked = ", ".join(subject.name for subject in subjects) or "scenes of the catalogue"
         raise CommandError(

@@ -129,7 +129,8 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: blurred}
     scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
-    stages.write(arguments, outputs, blurred, stages.provenance(arguments, chosen, loaded.buffers))
+    provenance = stages.provenance(arguments, chosen, loaded.buffers)
+    stages.write(arguments, outputs, blurred, provenance, loaded.states)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in outputs:
         print_line(f"{output}")

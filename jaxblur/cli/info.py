@@ -179,7 +179,7 @@ def _print_parts(info: Any) -> None:
         [(channel.part, channel.name, channel.type) for channel in info.channels],
     )
     notes = {
-        (name, value)
+        (name, str(value))
         for part in info.parts
         for name, value in part.attributes.items()
         if name.startswith("jaxblur:")

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jaxblur
-from jaxblur._util.text import one_line
+from jaxblur._util.text import one_line, printable
 
 from . import bench, blur, demo, fit, info, report, scene, vectors
 from .arguments import Parser, in_option_names
@@ -57,7 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         except Exception as error:
             if not is_foreseeable(error):
                 raise
-            LOG.debug("%s", traceback.format_exc().rstrip())
+            if options.get("verbose", 0) > 1:
+                LOG.debug("%s", traceback.format_exc().rstrip())
             LOG.error("%s", in_option_names(message_of(error), options))
             return USAGE
 
@@ -78,7 +79,10 @@ class _LineFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
         text = record.getMessage()
-        return f"jaxblur: {level}{text if record.levelno == logging.DEBUG else one_line(text)}"
+        if record.levelno > logging.DEBUG:
+            return f"jaxblur: {level}{one_line(text)}"
+        # A traceback keeps its lines.
+        return "\n".join(map(printable, f"jaxblur: {text}".splitlines()))
 
 
 @contextlib.contextmanager
@@ -105,7 +109,7 @@ def _diagnostics(options: Mapping[str, Any]) -> Iterator[None]:
         LOG.removeHandler(handler)
 
 
-def _level(verbose: bool, quiet: bool) -> int:
+def _level(verbose: int, quiet: bool) -> int:
     if quiet:
         return logging.ERROR
     return logging.DEBUG if verbose else logging.INFO

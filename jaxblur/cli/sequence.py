@@ -178,7 +178,7 @@ class FrameWork:
         with about_frame(job.frame):
             notes = stages.provenance(self._at(job), chosen, loaded.buffers) | job.marks
             notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
-            stages.write(self._at(job), job.outputs, image, notes)
+            stages.write(self._at(job), job.outputs, image, notes, loaded.states)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}

@@ -50,12 +50,14 @@ class Loaded:
         truth: (H, W, C) linear light, or None.
         speeds: a `jaxblur.vectors.SpeedStatistics`.
         mean_speed: mean half-spread in pixels.
+        states: a `jaxblur.exr.FileStates` of the files, from before they were read.
     """
 
     buffers: Any
     truth: Any
     speeds: Any
     mean_speed: float
+    states: Any
 
 
 def check_output(output: pathlib.Path) -> None:
@@ -89,8 +91,10 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     """
     import numpy as np
 
-    from jaxblur import vectors
+    from jaxblur import exr, vectors
 
+    files = (arguments.input, arguments.velocity_from, arguments.depth_from)
+    states = exr.FileStates.of(path for path in files if path is not None)
     buffers = sources.read(arguments)
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
@@ -99,6 +103,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
         truth,
         vectors.speed_statistics(velocity, settings.radius),
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
+        states,
     )
 
 
@@ -195,6 +200,7 @@ def write(
     outputs: Sequence[pathlib.Path],
     image: Any,
     provenance: Mapping[str, str],
+    states: Any,
 ) -> None:
     """Write an image to every output of a frame.
 
@@ -203,9 +209,11 @@ def write(
         outputs: ``.exr`` and ``.png`` files.
         image: (H, W, C) linear light.
         provenance: metadata to add.
+        states: of the inputs, as in `Loaded`.
 
     Raises:
-        JaxblurIOError: the file cannot be written, or it cannot hold such values.
+        JaxblurIOError: the file cannot be written, it cannot hold such values, or an input has
+            changed.
     """
     from jaxblur import exr
 
@@ -220,6 +228,7 @@ def write(
             layer=arguments.layer,
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
+            unchanged=states,
         )
         if output.suffix.lower() == ".png":
             LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
@@ -249,7 +258,7 @@ def warn_of_double_blur(path: pathlib.Path) -> None:
 
     earlier = [part.attributes.get("jaxblur:filter") for part in exr.inspect(path).parts]
     for name in earlier:
-        if name not in (None, PASSED_THROUGH):
+        if name is not None and name != PASSED_THROUGH:
             LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
 
 

@@ -31,6 +31,7 @@ from .choose import (
 from .files import (
     Channel as Channel,
     FileInfo as FileInfo,
+    FileStates as FileStates,
     JaxblurIOWarning as JaxblurIOWarning,
     Part as Part,
     inspect as inspect,

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import pathlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,7 @@ class Part:
         display_window: (x, y, width, height) of the full picture.
         compression: scheme as the file names it, "none" if it names none.
         deep: whether pixels hold several samples each.
-        attributes: metadata, values as OpenImageIO gives them.
+        attributes: metadata, values as OpenImageIO gives them; bytes of unknown types as a tuple.
     """
 
     name: str
@@ -109,6 +109,49 @@ class FileInfo:
             names = ", ".join(self.channel_names)
             raise JaxblurIOError(self.path, f"{problem} called {name}; the file holds {names}.")
         return found[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileStates:
+    """Sizes and modification times of files, to notice that one changed while it was used.
+
+    Attributes:
+        states: path, inode, bytes and nanoseconds of each.
+    """
+
+    states: tuple[tuple[str, int, int, int], ...]
+
+    @classmethod
+    def of(cls, paths: Iterable[PathLike]) -> "FileStates":
+        """Record the present states.
+
+        Args:
+            paths: the files.
+
+        Raises:
+            JaxblurIOError: a file is missing.
+        """
+        return cls(tuple(_state(path) for path in paths))
+
+    def check(self) -> None:
+        """Check that no file has changed since.
+
+        Raises:
+            JaxblurIOError: one has; the message names it.
+        """
+        for state in self.states:
+            if _state(state[0]) != state:
+                raise JaxblurIOError(
+                    state[0], "changed while it was being used; nothing was written, run again."
+                )
+
+
+def _state(path: PathLike) -> tuple[str, int, int, int]:
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        raise JaxblurIOError(path, f"{error.strerror}.") from error
+    return os.fspath(path), found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def inspect(path: PathLike) -> FileInfo:
@@ -245,7 +288,7 @@ def describe(source: Any, path: PathLike) -> FileInfo:
         raise JaxblurIOError(path, f"damaged header, copy or render it again ({error}).") from error
     pending_message(source)
     expected = parts[0].attributes.get("oiio:subimages", 1) if parts else 1
-    if len(parts) < int(expected):
+    if isinstance(expected, int) and len(parts) < expected:
         raise JaxblurIOError(path, f"only {len(parts)} of {expected} parts are readable.")
     several = len(parts) > 1
     named = tuple(_qualified(part) if several else part for part in parts)
@@ -365,11 +408,14 @@ def _describe_part(spec: Any, index: int) -> Part:
 
 
 def _attributes(spec: Any) -> dict[str, Any]:
-    values = {}
-    for attribute in spec.extra_attribs:
-        value = attribute.value
-        values[_printable(attribute.name)] = _printable(value) if type(value) is str else value
-    return values
+    return {_printable(a.name): _plain(a.value) for a in spec.extra_attribs}
+
+
+def _plain(value: Any) -> Any:
+    """A value that can be compared and hashed; OpenImageIO gives arrays for types unknown to it."""
+    if isinstance(value, np.ndarray):
+        return tuple(value.ravel().tolist())
+    return _printable(value) if isinstance(value, str) else value
 
 
 def _printable(text: str) -> str:

@@ -4,7 +4,7 @@ import dataclasses
 import os
 import pathlib
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from jaxblur._util.text import printable
 from .choose import choose_color, is_depth
 from .files import (
     FileInfo,
+    FileStates,
     JaxblurIOWarning,
     describe,
     open_input,
@@ -50,6 +51,7 @@ def write_image(
     color_channels: Sequence[str] | None = None,
     overwrite: bool = True,
     nonfinite: Literal["keep", "zero"] = "keep",
+    unchanged: FileStates | None = None,
 ) -> None:
     """Write an image, alone or in place of the color of another file.
 
@@ -71,11 +73,13 @@ def write_image(
         nonfinite: treatment of NaN, and of infinity other than sky in depth, in the channels that
             are copied from ``like``: "keep" them, or replace them by "zero" (in depth by infinity);
             both give a warning.
+        unchanged: states of the files that the image was made from, recorded before they were
+            read; if one has changed when the new file is complete, that does not appear.
 
     Raises:
         JaxblurIOError: the image is not finite, sizes or channel counts differ, ``path`` is
-            ``like`` itself or exists without ``overwrite``, or writing failed. Then no partial file
-            is left, and an older file stays as it was.
+            ``like`` itself or exists without ``overwrite``, an input has changed, or writing
+            failed. Then no partial file is left, and an older file stays as it was.
         ValueError: an argument is wrong.
     """
     if extra not in ("keep", "drop"):
@@ -85,15 +89,16 @@ def write_image(
     if not overwrite and os.path.exists(path):
         raise JaxblurIOError(path, "exists; pass overwrite=True to replace it.")
     pixels = _checked_image(path, image)
+    last_check = unchanged.check if unchanged is not None else None
     kind = pathlib.Path(path).suffix.lower()
     if kind == ".png":
-        _write_png(path, pixels, attributes)
+        _write_png(path, pixels, attributes, last_check)
     elif kind != ".exr":
         raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
     elif like is None:
         names = COLOR_NAMES.get(pixels.shape[2]) or [f"channel{i}" for i in range(pixels.shape[2])]
         channels = {name: pixels[..., index] for index, name in enumerate(names)}
-        write_channels(path, channels, dtype=dtype or "half", attributes=attributes)
+        _write_channels(path, channels, dtype or "half", attributes, last_check)
     else:
         refuse_overwrite(path, like)
         with open_input(like) as source:
@@ -101,7 +106,7 @@ def write_image(
             names = choose_color(info, layer, color_channels).channels
             _check_model(path, pixels, info, names)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
-            with replacing(path) as temporary:
+            with replacing(path, last_check) as temporary:
                 _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
 
 
@@ -124,6 +129,16 @@ def write_channels(
         JaxblurIOError: writing failed.
         ValueError: no channels, or sizes differ.
     """
+    _write_channels(path, channels, dtype, attributes, None)
+
+
+def _write_channels(
+    path: PathLike,
+    channels: Mapping[str, Any],
+    dtype: str | Mapping[str, str],
+    attributes: Mapping[str, str | int | float] | None,
+    last_check: Callable[[], None] | None,
+) -> None:
     arrays = {name: np.asarray(values, np.float32) for name, values in channels.items()}
     shapes = {values.shape for values in arrays.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2:
@@ -138,7 +153,7 @@ def write_channels(
     pixels = np.stack(list(arrays.values()), axis=-1)
     half = [index for index, kind in enumerate(kinds) if kind == "half"]
     pixels[..., half] = _clamp_half(path, pixels[..., half])
-    with replacing(path) as temporary, writer(path, temporary, [spec]) as output:
+    with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
         check(path, output, output.write_image(pixels))
 
 
@@ -420,7 +435,10 @@ def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
 
 
 def _write_png(
-    path: PathLike, image: np.ndarray, attributes: Mapping[str, str | int | float] | None
+    path: PathLike,
+    image: np.ndarray,
+    attributes: Mapping[str, str | int | float] | None,
+    last_check: Callable[[], None] | None,
 ) -> None:
     count = image.shape[2]
     color = image[..., : 1 if count in (1, 2) else 3]
@@ -429,7 +447,7 @@ def _write_png(
     spec.attribute("oiio:ColorSpace", "sRGB")
     _set_attributes(spec, attributes)
     pixels = np.round(srgb.encode(np.clip(color, 0, 1)) * 255).astype(np.uint8)
-    with replacing(path) as temporary, writer(path, temporary, [spec]) as output:
+    with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
         check(path, output, output.write_image(pixels))
 
 

@@ -2,9 +2,9 @@
 
 import dataclasses
 import hashlib
+import io
 import os
 import time
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -248,9 +248,11 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
     Raises:
         ValueError: the file holds no state, or that of another fit.
     """
+    # NumPy does not close a file that it opened by name and cannot read.
+    with open(path, "rb") as stream:
+        data = stream.read()
     try:
-        # NumPy does not close a file that it opened by name and cannot read.
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = dict(file)
         found = str(arrays["mark"])
         leaves = [arrays[f"optimizer_{k}"] for k in range(len(arrays) - 5)]
@@ -261,7 +263,10 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
             tuple(tuple(point) for point in arrays["trail"].tolist()),
             int(arrays["scans"]),
         )
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        if np.shape(state.free) != np.shape(fresh.free):
+            raise ValueError("another number of parameters")
+    # The readers of zip files and of arrays raise errors of nearly every kind for damaged data.
+    except Exception as error:
         raise ValueError(f"{path}: does not hold the state of a fit; start anew.") from error
     if found != mark:
         raise ValueError(

@@ -189,7 +189,7 @@ class FitResult:
         with open(path, "rb") as file:
             try:
                 content = tomllib.load(file)
-            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            except (ValueError, RecursionError) as error:
                 raise ValueError(f"{path}: is not TOML: {error}.") from error
         schema = content.pop("schema", None)
         if schema != SCHEMA:
@@ -200,7 +200,7 @@ class FitResult:
         try:
             result = _decode(FitResult, content, "")
             result = dataclasses.replace(result, settings=_completed(result))
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             # Plain quotes: these are keys of the file, not arguments of a caller.
             raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
         return result
@@ -241,8 +241,10 @@ def _completed(result: FitResult) -> dict[str, str | int | float]:
     known = dataclasses.asdict(info.settings)
     ignored = {field.name for field in dataclasses.fields(GuertinSettings)} - known.keys()
     settings = {name: v for name, v in result.settings.items() if name not in ignored}
-    for name in settings.keys() - known.keys():
-        raise ValueError(f"unknown key `settings.{name}`; remove it.")
+    for name, value in settings.items():
+        if name not in known:
+            raise ValueError(f"unknown key `settings.{name}`; remove it.")
+        _decode(type(known[name]), value, f"settings.{name}")
     info.kind(**typing.cast(dict[str, Any], known | settings))
     return known | settings
 

@@ -37,11 +37,14 @@ import jaxblur
 
 from .._util.atomic import replacing
 from .._util.errors import JaxblurIOError
+from .._util.text import printable
 from ..exr import read_image, write_image
 
 SCHEMA = 1
 MANIFEST = "result.json"
 PICTURES = "pictures"
+LONGEST = 1e12
+"""Milliseconds that no method takes: thirty years."""
 
 Values = Mapping[str, str | int | float]
 
@@ -270,8 +273,8 @@ def read_result(folder: pathlib.Path) -> Result:
             path, "is missing; `jaxblur blur --truth FILE --result DIR` and experiments write one."
         )
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        content = _printable(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"is not JSON: {error}; write the result again.") from error
     found = content.get("schema") if isinstance(content, dict) else None
     if found != SCHEMA:
@@ -285,6 +288,15 @@ def read_result(folder: pathlib.Path) -> Result:
         settings=read.value(content, "settings", dict),
         versions=read.value(content, "versions", dict),
     )
+
+
+def _printable(content: Any) -> Any:
+    """Escape characters that are not printable, such as those that reverse the reading order."""
+    if isinstance(content, dict):
+        return {printable(key): _printable(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_printable(value) for value in content]
+    return printable(content) if isinstance(content, str) else content
 
 
 class _Reader:
@@ -323,7 +335,7 @@ class _Reader:
         return Picture(
             method=self.value(entry, "method", str),
             image=image,
-            milliseconds=self.value(entry, "milliseconds", int, float, type(None)),
+            milliseconds=self.milliseconds(entry),
             scores=self.scores(self.value(entry, "scores", dict)),
             settings=self.value(entry, "settings", dict),
             group=self.value(entry, "group", str),
@@ -332,11 +344,21 @@ class _Reader:
             sha256=sha256,
         )
 
+    def milliseconds(self, entry: Any) -> float | None:
+        """Read a time, which logarithmic axes can show."""
+        value = self.value(entry, "milliseconds", int, float, type(None))
+        if value is not None and not 0 < value < LONGEST:
+            raise JaxblurIOError(
+                self.path,
+                f"'milliseconds' must be above 0 and below {LONGEST:g}, got {value!r:.40}.",
+            )
+        return value
+
     def scores(self, table: dict[str, Any]) -> dict[str, float]:
         """Read scores, including numbers that JSON stores as text."""
         try:
             return {name: float(value) for name, value in table.items()}
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise JaxblurIOError(self.path, f"'scores' must be numbers, got {table!r}.") from error
 
     def image(self, name: str, sha256: str | None) -> np.ndarray:
