@@ -6,7 +6,7 @@ import pathlib
 import time
 from typing import Any
 
-from . import results, sequence, stages
+from . import isolation, results, sequence, stages
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -76,6 +76,7 @@ def add_parser(commands: Any) -> None:
     _add_plan_options(parser)
     add_vector_options(parser)
     add_nonfinite_option(add_source_options(parser))
+    isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -99,6 +100,8 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Blur one frame, or a sequence; see `add_parser`."""
+    if arguments.isolate and not isolation.in_child:
+        return isolation.run(arguments)
     _check_plan(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))

@@ -1,13 +1,16 @@
 """``jaxblur info``: what a file holds, and how fast things move in it."""
 
 import argparse
+import contextlib
 import dataclasses
 import json
+import os
 from collections.abc import Sequence
 from typing import Any
 
 from jaxblur.filters.registry import filter_info
 
+from . import isolation
 from .arguments import (
     add_command,
     add_vector_options,
@@ -35,14 +38,20 @@ def add_parser(commands: Any) -> None:
         help="count the vectors beyond it (default %(default)s)",
     )
     add_vector_options(parser)
+    isolation.add_options(parser, memory=4096, seconds=120)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """List one file; see `add_parser`."""
     from jaxblur import exr
 
+    if arguments.isolate and not isolation.in_child:
+        return isolation.run(arguments)
     info = exr.inspect(arguments.file)
-    bad, motion = _not_finite(info), _motion(info, arguments)
+    if isolation.declares_too_much(info) and not isolation.in_child and os.name != "nt":
+        return isolation.run(arguments)
+    bad = {name: count for name, count in exr.count_not_finite(info.path).items() if count}
+    motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
     if arguments.json:
         listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
@@ -57,18 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
             print_line(f"{what}: {channels}")
         _print_motion(motion)
     return 0
-
-
-def _not_finite(info: Any) -> dict[str, int]:
-    """Count pixels with NaN or infinity by channel; infinite depth is sky and not counted."""
-    from jaxblur import exr
-
-    counts = {}
-    for part in info.parts:
-        names = [c.name for c in part.channels if c.type in ("half", "float")]
-        if names and not part.deep:
-            counts |= exr.count_not_finite(info, names)
-    return {name: count for name, count in counts.items() if count}
 
 
 def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:
@@ -130,11 +127,11 @@ def _velocity(info: Any, guess: Any, arguments: argparse.Namespace) -> Any:
     """Read the half-spreads as they are: damaged values are counted, not rejected."""
     from jaxblur import exr
 
-    try:
-        color = exr.choose_color(info, arguments.layer).channels
-    except exr.JaxblurIOError:
-        # A file of vectors alone; any channels of the same size take the place of color.
-        color = guess.channels
+    # Only the alpha of the color is needed, and that by few presets; else vectors take its place.
+    color = guess.channels
+    if guess.preset.premultiplied:
+        with contextlib.suppress(exr.JaxblurIOError):
+            color = exr.choose_color(info, arguments.layer).channels
     return exr.read_buffers(
         info.path,
         arguments.preset,

@@ -44,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             arguments = build_parser().parse_args(argv)
             options |= vars(arguments)
+            arguments.argv = list(sys.argv[1:] if argv is None else argv)
             LOG.setLevel(_level(arguments.verbose, arguments.quiet))
             status = arguments.run(arguments)
             sys.stdout.flush()

@@ -24,6 +24,10 @@ LARGEST_EXPANSION = {
 UNKNOWN_EXPANSION = 200_000
 
 
+BLOCK = 4_000_000
+"""Values that are read at once where a file is only looked through."""
+
+
 class JaxblurIOWarning(UserWarning):
     """Something in a file is suspicious or was changed, but the work went on."""
 
@@ -370,6 +374,48 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
             info.path, f"{names}: truncated or damaged, copy or render it again ({message})."
         )
     return pixels
+
+
+def read_blocks(source: Any, info: FileInfo, part: int) -> Iterator[np.ndarray]:
+    """Read all channels of a part in blocks of rows, from the top.
+
+    Args:
+        source: an open ``ImageInput``.
+        info: its listing.
+        part: index of the part, which must not be deep.
+
+    Yields:
+        (rows, W, channels) float32, about `BLOCK` values or one row of tiles each.
+
+    Raises:
+        JaxblurIOError: the pixels cannot be read completely.
+    """
+    described = info.parts[part]
+    _check_size(info, described)
+    left, top, width, height = described.data_window
+    count = len(described.channels)
+    source.seek_subimage(part, 0)
+    spec = source.spec()
+    # Whole rows of tiles, or of the largest chunks of lines, so that nothing is decoded twice.
+    unit = spec.tile_height or 256
+    step = unit * max(1, BLOCK // (unit * width * count))
+    for begin in range(top, top + height, step):
+        end = min(begin + step, top + height)
+        try:
+            if spec.tile_width:
+                box = (left, left + width, begin, end, 0, 1)
+                rows = source.read_tiles(part, 0, *box, 0, count, "float")
+            else:
+                rows = source.read_scanlines(part, 0, begin, end, 0, 0, count, "float")
+        except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError) as error:
+            raise JaxblurIOError(info.path, f"part {part}: cannot be read: {error}") from error
+        if rows is None:
+            raise JaxblurIOError(
+                info.path,
+                f"part {part}: truncated or damaged, copy or render it again "
+                f"({pending_message(source)}).",
+            )
+        yield rows.reshape(-1, width, count)
 
 
 def _check_size(info: FileInfo, part: Part) -> None:

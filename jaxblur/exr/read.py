@@ -17,7 +17,10 @@ from .choose import ColorGroup, choose_color, choose_depth, choose_vectors, is_d
 from .files import (
     FileInfo,
     JaxblurIOWarning,
+    describe,
     inspect,
+    open_input,
+    read_blocks,
     read_channels,
 )
 
@@ -213,25 +216,36 @@ def read_image(
     return _read_color(info, group, "error")[0]
 
 
-def count_not_finite(info: FileInfo, names: Sequence[str]) -> dict[str, int]:
+def count_not_finite(path: PathLike) -> dict[str, int]:
     """Count the pixels with NaN or infinity; infinite depth is sky and does not count.
 
+    The file is opened once and read by blocks of rows, so that a large picture needs no more memory
+    than a small one. Deep parts and integer channels are left out.
+
     Args:
-        info: listing of the file.
-        names: full names of channels of one part.
+        path: an image file.
 
     Returns:
-        The number of pixels by channel.
+        The number of such pixels by full channel name, 0 included.
 
     Raises:
-        JaxblurIOError: the pixels cannot be read completely.
+        JaxblurIOError: the file is missing or damaged.
     """
-    values = read_channels(info.path, names)
-    counts = {}
-    for index, name in enumerate(names):
-        plane = values[..., index]
-        sky = np.isposinf(plane) if is_depth(name) else False
-        counts[name] = int(np.count_nonzero(not_finite(plane) & ~np.asarray(sky)))
+    counts: dict[str, int] = {}
+    with open_input(path) as source:
+        info = describe(source, path)
+        for index, part in enumerate(info.parts):
+            floats = [c for c in part.channels if c.type in ("half", "float")]
+            if part.deep or not floats:
+                continue
+            counts |= dict.fromkeys((channel.name for channel in floats), 0)
+            for rows in read_blocks(source, info, index):
+                for channel in floats:
+                    values = rows[..., channel.index]
+                    bad = not_finite(values)
+                    if is_depth(channel.name):
+                        bad &= ~np.isposinf(values)
+                    counts[channel.name] += int(np.count_nonzero(bad))
     return counts
 
 

@@ -1,0 +1,109 @@
+"""Commands in a process of their own: limits of memory and time, crashes."""
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from jaxblur import exr
+from jaxblur.cli import isolation
+from tests.command_line import refused, run, spawn
+from tests.exr_files import CAR, plain_frame, read_raw, write_single
+
+
+@pytest.fixture(scope="module")
+def bomb(tmp_path_factory):
+    """A file of 0.4 MB that declares 640 MB of pixels."""
+    path = str(tmp_path_factory.mktemp("bomb") / "bomb.exr")
+    spec = oiio.ImageSpec(8000, 8000, 5, "half")
+    spec.channelnames = ("R", "G", "B", "velocity.X", "velocity.Y")
+    spec.attribute("compression", "zip")
+    output = oiio.ImageOutput.create(path)
+    rows = np.zeros((500, 8000, 5), np.float16)
+    assert output is not None and output.open(path, spec)
+    for row in range(0, 8000, 500):
+        assert output.write_scanlines(row, row + 500, 0, rows)
+    assert output.close()
+    return path
+
+
+def test_the_output_is_that_of_the_command(tmp_path):
+    assert spawn("info", CAR, "--isolate").stdout == run("info", CAR).out
+    commands = [
+        ("blur", CAR, "-o", tmp_path / name, "--filter", "pixel_velocity", "--no-compile-cache")
+        for name in ("plain.exr", "isolated.exr")
+    ]
+    assert spawn(*commands[0]).returncode == spawn(*commands[1], "--isolate").returncode == 0
+    plain, isolated = (read_raw(tmp_path / name)[1] for name in ("plain.exr", "isolated.exr"))
+    np.testing.assert_array_equal(plain, isolated)
+
+
+def test_errors_and_statuses_are_those_of_the_command(tmp_path):
+    missing = spawn("info", tmp_path / "missing.exr", "--isolate")
+    assert missing.returncode == 2
+    assert missing.stderr.splitlines() == [
+        f"jaxblur: error: {tmp_path / 'missing.exr'}: no such file."
+    ]
+
+
+def test_modules_do_not_come_from_the_working_folder(tmp_path):
+    (tmp_path / "resource.py").write_text("print('foreign code')")
+    code = "import sys; sys.path.remove(''); from jaxblur.cli import main; sys.exit(main())"
+    result = spawn("info", CAR, "--isolate", code=code, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "foreign code" not in result.stdout
+
+
+@pytest.mark.slow
+def test_a_file_that_declares_much_is_listed_within_limits(bomb):
+    info = exr.inspect(bomb)
+    assert isolation.declares_too_much(info)
+    assert not isolation.declares_too_much(exr.inspect(CAR))
+    result = spawn("info", bomb)
+    assert result.returncode == 0, result.stderr
+    assert "8000x8000" in result.stdout and "suggested radius" in result.stdout
+
+
+@pytest.mark.slow
+def test_limits_end_the_command_with_a_clear_error(bomb):
+    result = spawn("info", bomb, "--time-limit", 1)
+    assert result.returncode == 2
+    assert f"{bomb}: took more than 1 s of processor time" in result.stderr
+    result = spawn("info", bomb, "--memory", 400)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1 and f"error: {bomb}: " in result.stderr
+
+
+def test_a_crash_names_the_file(tmp_path):
+    path = write_single(tmp_path / "frame.exr", plain_frame((4, 5)))
+    code = (
+        "import os, signal, sys; from jaxblur.cli import isolation, main;"
+        "crash = 'import os; os.kill(os.getpid(), 11)';"
+        "isolation.CHILD = crash; sys.exit(main())"
+    )
+    result = spawn("info", path, "--isolate", code=code)
+    assert result.returncode == 2
+    assert f"error: {path}: reading it crashed (SIGSEGV)" in result.stderr
+
+
+def test_too_little_memory_is_a_wrong_argument():
+    assert "expected at least 256 MB" in refused("info", CAR, "--isolate", "--memory", "20")
+
+
+def test_counts_by_blocks_are_those_of_the_whole(tmp_path, monkeypatch):
+    channels = plain_frame((70, 30))
+    channels["R"][3, 4] = np.nan
+    channels["R"][69, 29] = np.inf
+    channels["Z"][0, 0] = np.inf
+    channels["Z"][5, 5] = -np.inf
+    monkeypatch.setattr(exr.files, "BLOCK", 1)
+    expected = dict.fromkeys(channels, 0) | {"R": 2, "Z": 1}
+    for name, tile in (("lines", 0), ("tiles", 16)):
+        spec = oiio.ImageSpec(30, 70, len(channels), "float")
+        spec.channelnames = tuple(channels)
+        spec.x, spec.y = -3, 7
+        spec.tile_width = spec.tile_height = tile
+        output = oiio.ImageOutput.create(str(tmp_path / f"{name}.exr"))
+        assert output is not None and output.open(str(tmp_path / f"{name}.exr"), spec)
+        assert output.write_image(np.stack(list(channels.values()), axis=-1))
+        assert output.close()
+        assert exr.count_not_finite(tmp_path / f"{name}.exr") == expected
