@@ -21,13 +21,17 @@ from .pipeline import Outcome, Stage, run_stages
 LOG = logging.getLogger("jaxblur")
 LOCAL = "local"
 CONNECT_SECONDS = 5
-# No memory limit, because a worker near it would be paused and then killed.
+# No memory limit, because a worker near it would be paused and then killed. Dask always starts its
+# web servers: here on free ports of the loopback interface, and with no pages.
 LOCAL_OPTIONS: dict[str, Any] = {
     "threads_per_worker": 1,
     "memory_limit": None,
-    "dashboard_address": None,
+    "dashboard_address": "127.0.0.1:0",
+    "scheduler_kwargs": {"dashboard": False},
+    "protocol": "tls://",
     "silence_logs": logging.CRITICAL,
 }
+NO_PAGES = {f"distributed.{server}.http.routes": [] for server in ("scheduler", "worker", "nanny")}
 
 
 def run_cluster(
@@ -91,17 +95,29 @@ def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
 
 @contextlib.contextmanager
 def _client(scheduler: str, workers: int) -> Iterator[Any]:
-    """Connect to a scheduler, or start one with workers and stop it afterwards."""
+    """Connect to a scheduler, or start one with workers and stop it afterwards.
+
+    A scheduler at a ``tls://`` address is connected to with the certificates of Dask's own
+    configuration.
+    """
     try:
+        import dask
         from distributed import Client, LocalCluster
+        from distributed.security import Security
+
+        # Keys for this run, which need cryptography: other users of this machine cannot connect.
+        security = Security.temporary() if scheduler == LOCAL else None
     except ImportError as error:
         raise ValueError(
-            "`scheduler` needs Dask, which is not installed: pip install 'jaxblur[dask]'."
+            "`scheduler` needs Dask and cryptography, of which one is not installed: "
+            "pip install 'jaxblur[dask]'."
         ) from error
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if scheduler == LOCAL:
-            address = stack.enter_context(LocalCluster(n_workers=workers, **LOCAL_OPTIONS))
+            with dask.config.set(NO_PAGES):
+                cluster = LocalCluster(n_workers=workers, security=security, **LOCAL_OPTIONS)
+            address = stack.enter_context(cluster)
         try:
             client = Client(address, set_as_default=False, timeout=CONNECT_SECONDS)
         except (OSError, ValueError) as error:
