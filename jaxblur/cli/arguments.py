@@ -74,44 +74,6 @@ def add_compute_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_vector_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what the vectors in a file mean."""
-    group = parser.add_argument_group("motion vectors")
-    group.add_argument(
-        "--shutter",
-        type=float,
-        default=0.5,
-        metavar="S",
-        help="exposure to blur for, in frames (default %(default)s: a 180 degree shutter)",
-    )
-    group.add_argument(
-        "--preset",
-        type=preset_name,
-        default="auto",
-        metavar="NAME",
-        help="convention of the vectors (default auto: by channel names)",
-    )
-    group.add_argument(
-        "--velocity-channels",
-        type=channel_names,
-        metavar="X,Y[,X,Y]",
-        help="names of the vector channels, where the preset does not know them",
-    )
-    group.add_argument(
-        "--file-shutter",
-        type=float,
-        metavar="S",
-        help="exposure of the render that wrote the vectors, for presets that span the shutter",
-    )
-    group.add_argument(
-        "--max-displace",
-        type=float,
-        metavar="PX",
-        help="length in pixels of a vector at the end of the range, for presets that scale so",
-    )
-    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
-
-
 _OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
 """Arguments of the library whose options have another name."""
 

@@ -13,7 +13,6 @@ from . import stages
 from .arguments import (
     CommandError,
     add_command,
-    add_vector_options,
     check_folder,
     file_path,
     one_of,
@@ -24,7 +23,7 @@ from .compute import start_jax
 from .console import print_line, print_table, track
 from .filtering import CHOICES, add_nonfinite_option, filter_name, find_filter
 from .scene import check_scene, image_size
-from .sources import add_source_options
+from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

@@ -12,7 +12,6 @@ from .arguments import (
     CommandError,
     add_command,
     add_compute_options,
-    add_vector_options,
     check_outputs,
     describe_presets,
     file_path,
@@ -28,7 +27,7 @@ from .filtering import (
     describe_filters,
     report_ignored,
 )
-from .sources import add_source_options
+from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 
@@ -75,6 +74,11 @@ def add_parser(commands: Any) -> None:
     )
     _add_plan_options(parser)
     add_vector_options(parser)
+    parser.add_argument(
+        "--require-motion",
+        action="store_true",
+        help="fail, rather than warn, if the vectors move nothing by half a pixel",
+    )
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 

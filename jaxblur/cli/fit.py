@@ -16,7 +16,6 @@ from .arguments import (
     CommandError,
     add_command,
     add_compute_options,
-    add_vector_options,
     check_folder,
     check_outputs,
     describe_presets,
@@ -33,7 +32,7 @@ from .filtering import (
     describe_filters,
     find_filter,
 )
-from .sources import add_source_options
+from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

@@ -13,7 +13,6 @@ from jaxblur.filters.registry import filter_info
 from . import isolation
 from .arguments import (
     add_command,
-    add_vector_options,
     describe_presets,
     file_path,
     in_option_names,
@@ -21,6 +20,7 @@ from .arguments import (
 )
 from .console import print_line, print_table
 from .filtering import DEFAULT_FILTER
+from .sources import add_vector_options
 
 
 def add_parser(commands: Any) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import jaxblur
 from jaxblur._util.text import one_line, printable
 
-from . import bench, blur, demo, fit, info, report, scene, vectors
+from . import bench, blur, demo, fit, info, report, scene, shutter, vectors
 from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
@@ -43,6 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with _diagnostics(options), never_lost(), with_termination() as terminated:
         try:
             arguments = build_parser().parse_args(argv)
+            shutter.resolve(arguments)
             options |= vars(arguments)
             arguments.argv = list(sys.argv[1:] if argv is None else argv)
             LOG.setLevel(_level(arguments.verbose, arguments.quiet))

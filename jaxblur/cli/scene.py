@@ -23,6 +23,7 @@ from .arguments import (
 )
 from .compute import start_jax
 from .console import print_line, print_table, track
+from .shutter import add_exposure, add_fps
 
 LOG = logging.getLogger("jaxblur")
 
@@ -49,13 +50,8 @@ def add_parser(commands: Any) -> None:
         metavar="A-B[xN]",
         help="such as 1-8, 1-100x10 or 1,3,7 (default 0); --frames=-4-4 for negative ones",
     )
-    parser.add_argument(
-        "--shutter",
-        type=float,
-        default=0.5,
-        metavar="S",
-        help="exposure in frames, above 0 (default %(default)s)",
-    )
+    add_exposure(parser, "--shutter", "exposure above 0", default=0.5)
+    add_fps(parser)
     parser.add_argument(
         "--size", type=image_size, default=(720, 1280), metavar="WxH", help="default 1280x720"
     )

@@ -35,7 +35,7 @@ NOT_A_CHOICE = frozenset(
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
-        *("argv", "isolate", "memory", "time_limit"),
+        *("argv", "isolate", "memory", "time_limit", "fps", "require_motion"),
     }
 )
 

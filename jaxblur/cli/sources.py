@@ -6,9 +6,42 @@ import logging
 import pathlib
 from typing import Any
 
-from .arguments import channel_names, file_path
+from .arguments import channel_names, file_path, positive_number, preset_name
+from .shutter import add_exposure, add_fps
 
 LOG = logging.getLogger("jaxblur")
+
+
+def add_vector_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what the vectors in a file mean."""
+    group = parser.add_argument_group("motion vectors")
+    add_exposure(group, "--shutter", "exposure to blur for", default=0.5)
+    group.add_argument(
+        "--preset",
+        type=preset_name,
+        default="auto",
+        metavar="NAME",
+        help="convention of the vectors (default auto: by channel names)",
+    )
+    group.add_argument(
+        "--velocity-channels",
+        type=channel_names,
+        metavar="X,Y[,X,Y]",
+        help="names of the vector channels, where the preset does not know them",
+    )
+    add_exposure(
+        group,
+        "--file-shutter",
+        "exposure of the render that wrote the vectors, for presets that span the shutter",
+    )
+    add_fps(group)
+    group.add_argument(
+        "--max-displace",
+        type=positive_number,
+        metavar="PX",
+        help="length in pixels of a vector at the end of the range, for presets that scale so",
+    )
+    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
 
 
 def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> Any:

@@ -22,6 +22,8 @@ SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
 # as large as needed.
 SEQUENCE_RADII = (10, 20, 30, 40, 60, 80, 120, 160, 240, 320, 480, 640, 960, 1280, 1920)
 
+STILL = 0.5
+"""Half-spread in pixels that no filter blurs."""
 PASSED_THROUGH = "none"
 """In the place of the filter's name for a frame that was not blurred."""
 
@@ -98,13 +100,36 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     buffers = sources.read(arguments)
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
+    speeds = vectors.speed_statistics(velocity, settings.radius)
+    _check_motion(arguments, buffers, speeds.percentiles[100.0])
     return Loaded(
         buffers,
         truth,
-        vectors.speed_statistics(velocity, settings.radius),
+        speeds,
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         states,
     )
+
+
+def _check_motion(arguments: argparse.Namespace, buffers: Any, fastest: float) -> None:
+    """Warn if nothing moves by more than half a pixel, or fail with ``--require-motion``.
+
+    Raises:
+        CommandError: nothing moves, and motion is required.
+    """
+    if fastest >= STILL or arguments.shutter == 0:
+        return
+    if fastest == 0:
+        why = "all vectors are zero: was the pass rendered?"
+    else:
+        why = f"the longest half-spread is {fastest:.2g} px: check --preset and --shutter"
+        # Over a full frame, fractions of the picture are below 1, in pixels or not.
+        if buffers.guess.preset.scale == "pixels" and 2 * fastest / arguments.shutter <= 1:
+            why += "; such values can be fractions of the frame: try --preset uv, ndc or unity"
+    file = arguments.velocity_from or arguments.input
+    if getattr(arguments, "require_motion", False):
+        raise CommandError(f"{file}: nothing moves; {why}.")
+    LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
 
 
 def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choice:

@@ -13,6 +13,7 @@ from .arguments import (
     positive_integer,
 )
 from .console import print_line, print_table
+from .shutter import add_exposure, add_fps
 
 # The best candidate must explain the motion: leave at most this share of the difference.
 EXPLAINED = 0.8
@@ -41,13 +42,8 @@ def add_parser(commands: Any) -> None:
         help="names of the vector channels, where they are not recognized",
     )
     parser.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
-    parser.add_argument(
-        "--shutter",
-        type=float,
-        default=0.5,
-        metavar="S",
-        help="exposure, frames, that the vectors might span (default %(default)s)",
-    )
+    add_exposure(parser, "--shutter", "exposure that the vectors might span", default=0.5)
+    add_fps(parser)
     parser.add_argument(
         "--top",
         type=positive_integer,
