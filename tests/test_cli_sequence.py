@@ -394,3 +394,14 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_n
         fcntl.flock(file, fcntl.LOCK_EX)
         assert run(*command, "--frames", "1001").status == 0
         assert written(path) == [living.name, "a.1001.exr"]
+
+
+def test_a_frame_of_another_size_is_reported(shot):
+    path, command = shot
+    write_single(path / "in.1003.exr", plain_frame((20, 24)))
+    for _ in range(2):
+        outcome = run(*command)
+        assert outcome.status == 1
+        assert "error: frame 1003: has 24x20 pixels, most frames have " in outcome.err
+        assert written(path) == all_names(), "nothing is lost"
+    assert run(*command, "--allow-resize").status == 0

@@ -14,6 +14,7 @@ from tests.exr_files import plain_frame, write_single
         ("z", [2, 1e9, 1e10, np.inf, 0], [2, *[np.inf] * 4]),
         ("-z", [-2, -1e10, -np.inf, 0], [2, *[np.inf] * 3]),
         ("1/z", [0.5, 0, 4], [2, np.inf, 0.25]),
+        ("-1/z", [-0.5, 0, -4], [2, np.inf, 0.25]),
         ("normalized-near1", [1, 0.25, 0], [1, 1.75, np.inf]),
     ],
 )
@@ -29,14 +30,15 @@ def test_depth_becomes_a_positive_distance(tmp_path, kind, stored, distance):
     [
         ("z", -3, "Z: 1 of 24 pixels are negative .first at row 1, column 2.; pass depth='-z'"),
         ("-z", 3, "negative .*pass depth='z'"),
-        ("1/z", -1, "Z: 1 of 24 pixels are negative"),
+        ("1/z", -1, "Z: 1 of 24 pixels are negative .*pass depth='-1/z'"),
+        ("-1/z", 1, "Z: 1 of 24 pixels are negative .*pass depth='1/z'"),
         ("1/z", 1e10, "1e9 or more .*pass depth='z'"),
         ("normalized-near1", 1.5, "above 1 .*pass depth='z'"),
     ],
 )
 def test_depth_that_contradicts_its_kind_is_rejected(tmp_path, kind, value, message):
     channels = plain_frame()
-    channels["Z"] = np.full((4, 6), -0.5 if kind == "-z" else 0.5, np.float32)
+    channels["Z"] = np.full((4, 6), -0.5 if kind.startswith("-") else 0.5, np.float32)
     channels["Z"][1, 2] = value
     path = write_single(tmp_path / "a.exr", channels)
     with pytest.raises(exr.JaxblurIOError, match=message):

@@ -1,6 +1,7 @@
 """``jaxblur blur`` on sequences: names and options, the plan, the run, and its report."""
 
 import argparse
+import collections
 import contextlib
 import dataclasses
 import hashlib
@@ -35,7 +36,7 @@ NOT_A_CHOICE = frozenset(
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
-        *("argv", "isolate", "memory", "time_limit", "fps", "require_motion"),
+        *("allow_resize", "argv", "isolate", "memory", "time_limit", "fps", "require_motion"),
     }
 )
 
@@ -67,6 +68,11 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         default=[],
         metavar="A,B",
         help="pass these frames through unblurred: at a camera cut vectors mean nothing",
+    )
+    group.add_argument(
+        "--allow-resize",
+        action="store_true",
+        help="do not mind frames of another size than the others (otherwise exit status 1)",
     )
     group.add_argument("--dry-run", action="store_true", help="print the plan, write nothing")
     group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
@@ -240,15 +246,38 @@ class _Run:
             self._work(todo)
         self._report()
         self._leave_result()
+        same = self.arguments.allow_resize or not self._resized()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
-        return 0 if done else FAILED
+        return 0 if done and same else FAILED
 
-    def _leave_result(self) -> None:
-        there = [
+    def _done(self) -> list[Any]:
+        """The jobs whose outputs exist."""
+        return [
             job
             for job in self.plan.jobs
             if self.records[job.frame]["status"] in ("written", "kept")
         ]
+
+    def _resized(self) -> bool:
+        """Whether frames have another size than most; they are reported."""
+        from jaxblur import exr
+
+        sizes = {
+            job.frame: exr.inspect(job.outputs[0]).parts[0].display_window[2:]
+            for job in self._done()
+        }
+        ((usual, _),) = collections.Counter(sizes.values()).most_common(1) or [((0, 0), 0)]
+        others = {frame: size for frame, size in sizes.items() if size != usual}
+        for frame, (width, height) in others.items():
+            LOG.error(
+                "frame %d: has %dx%d pixels, most frames have %dx%d; render it again, or pass "
+                "--allow-resize.",
+                *(frame, width, height, *usual),
+            )
+        return bool(others)
+
+    def _leave_result(self) -> None:
+        there = self._done()
         if self.arguments.result and there:
             results.write(self.arguments, results.shots_of_frames(self.arguments, there))
 

@@ -64,7 +64,7 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
         "--depth",
         default="auto",
         metavar="KIND",
-        help="auto, z, 1/z, normalized-near1, flat (no occlusion), or --depth=-z",
+        help="auto, z, 1/z, normalized-near1, flat (no occlusion), --depth=-z or --depth=-1/z",
     )
     group.add_argument(
         "--sky",

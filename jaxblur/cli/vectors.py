@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import json
+import shlex
 from typing import Any
 
 from .arguments import (
@@ -11,6 +12,7 @@ from .arguments import (
     channel_names,
     file_path,
     positive_integer,
+    positive_number,
 )
 from .console import print_line, print_table
 from .shutter import add_exposure, add_fps
@@ -45,6 +47,12 @@ def add_parser(commands: Any) -> None:
     add_exposure(parser, "--shutter", "exposure that the vectors might span", default=0.5)
     add_fps(parser)
     parser.add_argument(
+        "--max-displace",
+        type=positive_number,
+        metavar="PX",
+        help="length in pixels of a vector at the end of the range, for renderers that scale so",
+    )
+    parser.add_argument(
         "--top",
         type=positive_integer,
         default=8,
@@ -63,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
     else:
         _print_ranking(ranking, arguments.top, explained)
+        if explained and not undecided and ranking.candidates[0].presets:
+            print_line(f"to blur: {_command(arguments, ranking.candidates[0])}")
     return 0 if explained and not undecided else 1
 
 
@@ -88,7 +98,10 @@ def _rank(arguments: argparse.Namespace) -> Any:
         now, following = (image[..., : min(colors)] for image in (now, following))
     try:
         return vectors.rank_conventions(
-            now, following, raw, names, shutter=arguments.shutter, size=(height, width)
+            *(now, following, raw, names),
+            shutter=arguments.shutter,
+            size=(height, width),
+            max_displace=arguments.max_displace,
         )
     except ValueError as error:
         raise CommandError(f"{arguments.file}: {error}") from error
@@ -112,6 +125,28 @@ def _color_count(image: Any) -> int:
 def _size(image: Any) -> str:
     height, width, channels = image.shape
     return f"{width}x{height} pixels and {channels} channels"
+
+
+def _command(arguments: argparse.Namespace, best: Any) -> str:
+    """The command line that follows from the best candidate."""
+    from jaxblur import exr, vectors
+
+    preset = vectors.PRESETS[best.presets[0]]
+    words = ["jaxblur", "blur", arguments.file, "-o", "out.exr", "--preset", preset.name]
+    try:
+        found = exr.choose_vectors(exr.inspect(arguments.file), preset.name, arguments.layer)
+        known = set(best.channels) <= set(found.channels)
+    except exr.JaxblurIOError:
+        known = False
+    if not known:
+        words += ["--velocity-channels", ",".join(best.channels)]
+    if preset.span == "shutter":
+        words += ["--file-shutter", f"{arguments.shutter:g}"]
+    if preset.scale == "max-displace":
+        words += ["--max-displace", f"{arguments.max_displace:g}"]
+    if arguments.layer:
+        words += ["--layer", arguments.layer]
+    return shlex.join(map(str, words))
 
 
 def _print_ranking(ranking: Any, count: int, explained: bool) -> None:

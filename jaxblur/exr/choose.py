@@ -13,8 +13,11 @@ COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "
 DEPTH_PATTERNS = (
     *("Depth.Z", "Depth.V", "depth.Z", "depth.V", "depth.z", "Depth.R", "depth.R", "depth.Y"),
     *("*WorldDepth.R", "ZDepth.R", "ZDepth.Z", "zdepth.R", "__depth.r", "Z.Z", "Z.R", "Z.V"),
-    *("ZDepth", "zdepth", "Depth", "depth"),
+    *("VRayZDepth.R", "VRayZDepth.Z", "Z-Depth.R", "Z-Depth.Z", "Pz.R", "Pz.Z", "Pz.Y"),
+    *("ZDepth", "zdepth", "Depth", "depth", "VRayZDepth", "Z-Depth", "Pz"),
 )
+# RenderMan's velocities in scene units, which only the camera could turn into pixels.
+THREE_DIMENSIONAL = ("dPdtime", "dPcameradtime")
 # A lone Z is a depth only at the root or beside the color; elsewhere it is an axis.
 ROOT_DEPTH = ("Z", "z")
 
@@ -113,6 +116,11 @@ def choose_vectors(
     try:
         if velocity_channels is not None:
             names = [info.channel(name).name for name in velocity_channels]
+            if any(set(name.split(".")) & set(THREE_DIMENSIONAL) for name in names):
+                raise ValueError(
+                    f"{', '.join(names)} are velocities in the scene, not in the picture; render "
+                    "motionFore and motionBack instead."
+                )
             if preset == "auto":
                 raise ValueError(
                     "`velocity_channels` do not say what the values mean; name the convention "

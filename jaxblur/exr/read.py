@@ -27,7 +27,7 @@ from .files import (
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
 
-DEPTH_KINDS = ("z", "-z", "1/z", "normalized-near1", "flat")
+DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
 # Renderers that cannot write infinity store 1e10 or 1e30 for the sky.
 SKY_DEPTH = 1e9
 
@@ -136,8 +136,8 @@ def read_buffers(
             images are decoded with the sRGB curve.
         preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
         shutter: exposure to blur for, frames.
-        depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers),
-            "normalized-near1" 0..1 with white as nearest (only the order is used: 2 - value),
+        depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers), "-1/z"
+            negated inverse, "normalized-near1" 0..1 with white as nearest (only the order is used: 2 - value),
             "flat" the same distance everywhere, "auto" the usual kind of the preset's renderer.
         velocity_from: file with the vectors.
         depth_from: file with the depth.
@@ -268,13 +268,13 @@ def to_distance(
     Raises:
         JaxblurIOError: values contradict the kind of depth.
     """
-    values = -raw if kind == "-z" else raw
+    values = -raw if kind.startswith("-") else raw
     hit = np.isfinite(values) & (values < SKY_DEPTH) & (values != 0)
     refuse(hit & (values < 0), path, channel, "negative", _NEGATIVE_DEPTH[kind])
     if kind == "normalized-near1":
         refuse(hit & (values > 1), path, channel, "above 1", "pass depth='z' if it is a distance.")
         distance = 2 - values
-    elif kind == "1/z":
+    elif kind in ("1/z", "-1/z"):
         far = (values >= SKY_DEPTH) & np.isfinite(values)
         refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
         with np.errstate(over="ignore"):
@@ -287,7 +287,8 @@ def to_distance(
 _NEGATIVE_DEPTH = {
     "z": "pass depth='-z' if the camera looks along -z, or render depth again.",
     "-z": "pass depth='z', distances are positive here.",
-    "1/z": "render depth again, or pass depth='z' or '-z'.",
+    "1/z": "pass depth='-1/z' if the camera looks along -z, or render depth again.",
+    "-1/z": "pass depth='1/z', inverse distances are positive here.",
     "normalized-near1": "pass depth='z' or '-z', values must lie in 0..1.",
 }
 
@@ -323,7 +324,7 @@ def _read_distance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read depth as positive distance, and a mask of unknown pixels."""
     raw = _read_data(info, [name], picture, group)[..., 0]
-    lost = without_depth(info.path, name, -raw if kind == "-z" else raw, nonfinite)
+    lost = without_depth(info.path, name, -raw if kind.startswith("-") else raw, nonfinite)
     return to_distance(raw, kind, info.path, name), lost
 
 

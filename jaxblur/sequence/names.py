@@ -95,6 +95,11 @@ def parse_names(path: PathLike) -> FrameNames:
         raise ValueError(
             f"{os.fspath(path)}: {problem} for the frame number; write one, such as name.####.exr."
         )
+    if found := re.search(r"-?\d+-\d+(?=[#@%$])", name):
+        raise ValueError(
+            f"{os.fspath(path)}: {found[0]} is a range of frames; write "
+            f"{name.replace(found[0], '', 1)} and --frames {found[0].lstrip('-')}."
+        )
     sequence = FileSequence(_LONE_HASH.sub("####", name), pad_style=PAD_STYLE_HASH1)
     before = os.path.join(folder, str(sequence.basename()))
     return FrameNames(os.fspath(path), before, sequence.zfill(), str(sequence.extension()))

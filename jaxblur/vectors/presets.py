@@ -148,7 +148,13 @@ _ALL = (
     ),
     Preset(
         "vray",
-        _one_pair((("velocity.R", "velocity.G"), ("Velocity.R", "Velocity.G")), 1, 1, -1),
+        _one_pair(
+            (
+                *(("velocity.R", "velocity.G"), ("Velocity.R", "Velocity.G")),
+                *(("VRayVelocity.R", "VRayVelocity.G"), ("VRayVelocity.X", "VRayVelocity.Y")),
+            ),
+            *(1, 1, -1),
+        ),
         scale="max-displace",
         offset=0.5,
         gain=2.0,
@@ -161,7 +167,13 @@ _ALL = (
     ),
     Preset(
         "redshift",
-        _one_pair((("MotionVectors.R", "MotionVectors.G"),), 1, 1, -1),
+        _one_pair(
+            (
+                *(("MotionVectors.R", "MotionVectors.G"), ("MotionVectors.X", "MotionVectors.Y")),
+                *(("motionVectors.R", "motionVectors.G"), ("motionVectors.X", "motionVectors.Y")),
+            ),
+            *(1, 1, -1),
+        ),
         named=True,
         source="MotionVectors in raw pixels, filtering off; y up is an assumption.",
     ),

@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +18,12 @@ from .guess import find_channels
 from .presets import PRESETS, Preset, Scale, VectorPair
 
 # Units of raw values: the name that users see, and the corresponding `Preset.scale`.
-UNITS: dict[str, Scale] = {"px": "pixels", "uv": "size", "ndc": "half-size"}
+UNITS: dict[str, Scale] = {
+    "px": "pixels",
+    "uv": "size",
+    "ndc": "half-size",
+    "displace": "max-displace",
+}
 # Largest number of pixels to compare; more take longer and do not change the ranking.
 SAMPLE_LIMIT = 40_000
 # Limit of the difference of one pixel, because occlusion and new highlights make a few huge.
@@ -42,7 +48,8 @@ class Candidate:
         channels: names of the x and y channel.
         sign_x: factor that makes the first component point forward in time, to the right.
         sign_y: factor that makes the second point forward in time, down.
-        unit: "px", "uv" (fraction of the picture) or "ndc" (-1..1 over the picture).
+        unit: "px", "uv" (fraction of the picture), "ndc" (-1..1 over the picture) or "displace"
+            (-1..1 over the largest displacement, if it is given).
         offset: raw value of no motion.
         span: length of time the vectors cover, frames: 1, or the exposure.
         error: mean absolute difference on moving pixels, after x/(1+x); lower is better. Where the
@@ -96,8 +103,12 @@ def rank_conventions(
     *,
     shutter: float = 0.5,
     size: tuple[int, int] | None = None,
+    max_displace: float | None = None,
 ) -> Ranking:
     """Rank sign, unit, span and channel pair of motion vectors by warping the next frame back.
+
+    Candidates that move every point alike, such as "uv" over a frame and "ndc" over half of one,
+    are one: the one that a preset has, or that spans a frame, with the presets of all.
 
     Args:
         frame_color: (H, W, C) linear light, the frame that the vectors belong to.
@@ -106,12 +117,14 @@ def rank_conventions(
         channels: names of the components; "0", "1", ... if None.
         shutter: exposure in frames, the second span that is tried.
         size: (height, width) of the full picture, if the arrays are a part of it.
+        max_displace: displacement in pixels of a full-range vector, for renderers that scale so.
 
     Returns:
         The ranking.
 
     Raises:
-        ValueError: shapes do not fit, the exposure is not positive, or nothing moves.
+        ValueError: shapes do not fit, the exposure or the displacement is not positive, or nothing
+            moves.
 
     Source: the photometric error of optical flow; candidates from the table of presets.
     """
@@ -119,22 +132,31 @@ def rank_conventions(
     rows, columns, share = _moving(raw_vectors)
     now, following = _compress(frame_color)[rows, columns], _compress(next_color)
     still = _differences(now, following, rows, columns, np.zeros((len(rows), 2)))
+    if max_displace is not None and not 0 < max_displace < math.inf:
+        raise ValueError(f"`max_displace` must be above 0, got {max_displace}.")
     size = size or (frame_color.shape[0], frame_color.shape[1])
-    candidates = []
-    for options in _options(raw_vectors, names, shutter):
+    candidates: dict[tuple[Any, ...], Candidate] = {}
+    for options in _options(raw_vectors, names, shutter, max_displace is not None):
         pair, sign_x, sign_y, unit, offset, span = options
-        raw = raw_vectors[rows, columns, 2 * pair : 2 * pair + 2].astype(np.float64)
-        factor = np.array([sign_x, sign_y]) * _unit_pixels(unit, size) / span
+        factor = np.array([sign_x, sign_y]) * _unit_pixels(unit, size, max_displace) / span
         if offset:
             factor = factor * 2
-        forward = (raw - offset) * factor
-        found = _differences(now, following, rows, columns, forward)
-        error = float(np.mean(np.where(np.isnan(found), still, found)))
         pair_names = (names[2 * pair], names[2 * pair + 1])
         presets = _presets(pair_names, sign_x, sign_y, unit, offset, span)
-        candidates.append(Candidate(pair_names, sign_x, sign_y, unit, offset, span, error, presets))
-    candidates.sort(key=lambda candidate: candidate.error)
-    return Ranking(tuple(candidates), float(np.mean(still)), share)
+        mapping = (pair, offset, *np.round(factor, 9))
+        if (same := candidates.get(mapping)) is not None:
+            both = tuple(dict.fromkeys(same.presets + presets))
+            named = {} if same.presets or not presets else {"unit": unit, "span": span}
+            candidates[mapping] = dataclasses.replace(same, presets=both, **named)
+            continue
+        raw = raw_vectors[rows, columns, 2 * pair : 2 * pair + 2].astype(np.float64)
+        found = _differences(now, following, rows, columns, (raw - offset) * factor)
+        error = float(np.mean(np.where(np.isnan(found), still, found)))
+        candidates[mapping] = Candidate(
+            pair_names, sign_x, sign_y, unit, offset, span, error, presets
+        )
+    ranked = sorted(candidates.values(), key=lambda candidate: candidate.error)
+    return Ranking(tuple(ranked), float(np.mean(still)), share)
 
 
 def _checked(
@@ -185,25 +207,27 @@ def _share_near(raw: np.ndarray, value: float) -> float:
 
 
 def _options(
-    raw: np.ndarray, names: Sequence[str], shutter: float
+    raw: np.ndarray, names: Sequence[str], shutter: float, displace: bool
 ) -> Iterator[tuple[int, int, int, str, float, float]]:
     """Yield pair, sign of x, sign of y, unit, offset and span of every candidate."""
     spans = sorted({1.0, shutter}, reverse=True)
     signs = itertools.product((1, -1), (1, -1))
-    decodings = [(unit, 0.0) for unit in UNITS]
+    units = [unit for unit in UNITS if displace or unit != "displace"]
+    decodings = [(unit, 0.0) for unit in units]
     if _may_be_centered(raw):
-        decodings += [("uv", 0.5), ("ndc", 0.5)]
+        decodings += [(unit, 0.5) for unit in units if unit != "px"]
     pairs = range(len(names) // 2)
-    for pair, (sign_x, sign_y), (unit, offset), span in itertools.product(
-        pairs, signs, decodings, spans
+    # Spans outermost: of equal mappings the one over a full frame comes first.
+    for span, pair, (sign_x, sign_y), (unit, offset) in itertools.product(
+        spans, pairs, signs, decodings
     ):
         yield pair, sign_x, sign_y, unit, offset, span
 
 
-def _unit_pixels(unit: str, size: tuple[int, int]) -> np.ndarray:
+def _unit_pixels(unit: str, size: tuple[int, int], displace: float | None) -> np.ndarray:
     height, width = size
     pixels = {"px": (1, 1), "uv": (width, height), "ndc": (width / 2, height / 2)}
-    return np.array(pixels[unit], dtype=float)
+    return np.array(pixels.get(unit, (displace, displace)), dtype=float)
 
 
 def _compress(color: np.ndarray) -> np.ndarray:
