@@ -137,8 +137,9 @@ def read_buffers(
         preset: a key of `jaxblur.vectors.PRESETS`, or "auto" to recognize channel names.
         shutter: exposure to blur for, frames.
         depth: "z" positive distance, "-z" negated, "1/z" inverse (also reversed z-buffers), "-1/z"
-            negated inverse, "normalized-near1" 0..1 with white as nearest (only the order is used: 2 - value),
-            "flat" the same distance everywhere, "auto" the usual kind of the preset's renderer.
+            negated inverse, "normalized-near1" 0..1 with white as nearest (only the order is used:
+            2 - value), "flat" the same distance everywhere, "auto" the usual kind of the preset's
+            renderer.
         velocity_from: file with the vectors.
         depth_from: file with the depth.
         file_shutter: exposure of the render that wrote the vectors, frames; only for presets
