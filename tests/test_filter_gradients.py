@@ -185,3 +185,23 @@ def test_gradient_of_parameters_alone_scatters_nothing():
     program = str(jax.jit(jax.grad(loss)).lower(40.0).compile().as_text())
     assert " scatter(" not in program
     assert " gather(" in program
+
+
+@pytest.mark.parametrize("tile_choice", ["own", "expected"])
+@pytest.mark.parametrize("backend", ["native", "xla"])
+def test_second_derivatives_are_those_of_the_first(backend, tile_choice):
+    frame = random_frame((6, 7), speed=4.0)
+    settings = jaxblur.GuertinSettings(
+        samples=3, radius=4, backend=backend, tile_choice=tile_choice, fetch="bilinear"
+    )
+
+    def loss(kappa):
+        parameters = jaxblur.GuertinParameters(kappa=kappa)
+        return 1e4 * jnp.mean(jaxblur.guertin2014(frame, parameters, settings=settings) ** 2)
+
+    slope = jax.grad(loss)
+    by_differences = (slope(44.0) - slope(36.0)) / 8
+    for second in (jax.hessian(loss), jax.grad(slope)):
+        np.testing.assert_allclose(second(40.0), by_differences, rtol=0.05)
+    along = jax.jvp(slope, (40.0,), (1.0,))[1]
+    np.testing.assert_allclose(along, by_differences, rtol=0.05)

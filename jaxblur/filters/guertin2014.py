@@ -373,7 +373,10 @@ def _blur(
 
     if settings.tile_choice != "expected":
         return of_choice(None)[None]
-    return lax.map(of_choice, jnp.arange(3, dtype=frame.color.dtype))
+    # Not by `lax.map`: JAX drops the derivatives of what a loop calls when it is differentiated
+    # twice. The function is traced once.
+    of_choice = jax.jit(of_choice)
+    return jnp.stack([of_choice(jnp.asarray(k, frame.color.dtype)) for k in range(3)])
 
 
 def _keep(count: int, frame: Frame, *others: Any) -> jax.Array:
