@@ -184,7 +184,7 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     assert outcome.err.endswith(
         "error: interrupted before the first step; there is nothing to continue from\n"
     )
-    assert "starting; before the first step" in outcome.err
+    assert "starting; first the filter is compiled" in outcome.err
     assert not list(tmp_path.iterdir())
 
 
