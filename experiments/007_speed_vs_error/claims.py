@@ -19,7 +19,9 @@ GUERTIN_TABLE = {
 """Guertin et al. 2014, table 3.I. The 1.96 ms of N = 19 at 1080p is less than the time of one
 direction, and not near 2.25 times the time at 720p as in the other lines: probably a misprint."""
 MCGUIRE_TIMES = {31: 6.2, 15: 3.0, 7: 2.8, 5: 2.7}
-"""McGuire et al. 2012, section 3: ms at 1280x720 on a GeForce 480, by k samples."""
+"""McGuire et al. 2012, section 3: ms at 1280x720 on a GeForce 480, by k, which section 2.1 defines
+as the largest radius in pixels; the number of samples is not given. Our times vary the samples, so
+that the two ratios are of different things."""
 
 
 class Claim(NamedTuple):
