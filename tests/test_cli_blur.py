@@ -254,7 +254,7 @@ def test_an_input_is_never_overwritten(tmp_path, option):
         (("--radius", "big"), ("whole number from 1",)),
         (("--border", "wrap"), ("'skip', 'clamp'",)),
         (("--shutter", "-1"), ("--shutter must be", "-1")),
-        (("--shutter", "nan"), ("--shutter must be", "nan")),
+        (("--shutter", "nan"), ("expected an exposure", "nan")),
         (("--depth", "w"), ("--depth must be auto or one of", "'w'")),
         (("--layer", "Nothing"), ("no layer 'Nothing'",)),
         (("--depth-channel", "Y"), ("no channel called Y",)),

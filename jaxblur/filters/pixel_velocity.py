@@ -95,7 +95,7 @@ def pixel_velocity(
 
     Source: Rosado, Motion Blur as a Post-Processing Effect, GPU Gems 3, chapter 27, 2007; the
     samples are those of McGuire et al. 2012, jittered by half a spacing. McGuire et al. (section
-    1.1) describe the method with a test that samples lie at or behind the pixel; here there is none.
+    1.1) describe the method with a test that samples lie at or behind the pixel; here is none.
 
     Args:
         frame: color (H, W, C), depth (H, W) (not used) and velocity (H, W, 2) in pixels.

@@ -29,8 +29,8 @@ class FrameStatistics:
         fast_speed: half-spread in pixels that one pixel in a hundred exceeds.
         radius: the largest half-spread in pixels, rounded up.
         moving_tiles: share of tiles with a half-spread above half a pixel.
-        angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1; of the
-            tiles' own maxima, where pass 12 of guertin2014 takes those of their neighborhoods.
+        angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1; of
+            the tiles' own maxima, where pass 12 of guertin2014 takes those of their neighborhoods.
         layered_tiles: share of the moving tiles that hold a pixel of another velocity and
             depth than their fastest one.
     """

@@ -33,9 +33,10 @@ PLACEMENTS = {"centered": 0.0, "leading": 0.5, "trailing": -0.5}
 def shutter_curve(shutter_function: ShutterFunction = "box") -> Float[np.ndarray, " points"]:
     """Return a shutter function as a curve of mean 1.
 
-    ``box`` opens and closes at once. ``trapezoid`` is a mechanical shutter, which needs time to open
-    and to close [Navarro 2012, 4.3.8]; that these take a quarter each is our choice. ``triangle`` is a rotating disc
-    as wide as its window. ``gaussian`` has a standard deviation of a sixth of the shutter time.
+    ``box`` opens and closes at once. ``trapezoid`` is a mechanical shutter, which needs time to
+    open and to close [Navarro 2012, 4.3.8]; that these take a quarter each is our choice.
+    ``triangle`` is a rotating disc as wide as its window. ``gaussian`` has a standard deviation of
+    a sixth of the shutter time.
 
     Args:
         shutter_function: one of these names, or a sampled curve: at least two values, evenly
