@@ -111,7 +111,7 @@ def test_what_was_used_longest_ago_goes_first(home, monkeypatch):
     others = ["mine.so", "kernels/mine.so", "notes.txt", "kernels/jaxblur_sum_old.so.sha256"]
     for age, name in enumerate(names + others):
         (folder / name).write_bytes(bytes(300))
-        os.utime(folder / name, (now - 100 * age,) * 2)
+        os.utime(folder / name, (now - 100 * age, now - 100 * age))
     trim_cache()
     left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     assert left == {*names[:2], *others[:3]}

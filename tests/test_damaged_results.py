@@ -280,7 +280,8 @@ def test_a_page_shows_no_characters_that_change_its_reading_order(folder):
 def with_attribute(path, kind, data):
     """Add an attribute ``jaxblur:filter`` of any type to a file of lines."""
     content = bytearray(path.read_bytes())
-    position, rows = 8, 0
+    position = 8
+    rows = top = bottom = 0
     lines = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
 
     def text(start):

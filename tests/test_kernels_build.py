@@ -263,7 +263,7 @@ def test_what_a_killed_compilation_left_is_removed(kept_in, unregistered):
         left = folder / f"{build.BUILDING}{name}"
         left.mkdir()
         (left / "kernel.cc").touch()
-        os.utime(left, (time.time() - age,) * 2)
+        os.utime(left, (time.time() - age, time.time() - age))
     build.register(tiny_program(112))
     assert [path.name for path in folder.iterdir() if path.is_dir()] == [f"{build.BUILDING}recent"]
 

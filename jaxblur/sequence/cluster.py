@@ -101,7 +101,7 @@ def _client(scheduler: str, workers: int) -> Iterator[Any]:
     configuration.
     """
     try:
-        import dask
+        from dask import config
         from distributed import Client, LocalCluster
         from distributed.security import Security
 
@@ -115,7 +115,7 @@ def _client(scheduler: str, workers: int) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if scheduler == LOCAL:
-            with dask.config.set(NO_PAGES):
+            with config.set(NO_PAGES):
                 cluster = LocalCluster(n_workers=workers, security=security, **LOCAL_OPTIONS)
             address = stack.enter_context(cluster)
         try:

@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 
 import jax
-import jaxlib
+import jaxlib.version
 
 from ..._util.cache import (
     UnsafeFolderError,
@@ -79,7 +79,12 @@ def _machine() -> str:
             *_words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
         }
     compiler = find_compiler() or ""
-    versions = [jax.__version__, jaxlib.__version__, compiler, *_words_of(compiler, "--version")]
+    versions = [
+        jax.__version__,
+        jaxlib.version.__version__,
+        compiler,
+        *_words_of(compiler, "--version"),
+    ]
     return "\n".join([platform.machine(), *versions, *sorted(kinds)])
 
 
