@@ -34,11 +34,14 @@ def cache_folder() -> pathlib.Path:
 def private_folder(name: str = "") -> pathlib.Path:
     """Return the folder for compiled code, or one in it, that no other user can change.
 
-    Missing folders are made for this user only, whatever the umask. Links above `cache_folder` are
-    followed once, so that the result holds none; `cache_folder` and ``name`` must not be links.
-    Every folder on the way to it must belong to this user or to root, and no other user may be able
-    to rename what is in it: it is not writable by group or others, or, above the folder that holds
-    `cache_folder`, has the sticky bit as ``/tmp`` has.
+    Missing folders are made with mode 0700, whatever the umask. The rules for those that exist:
+
+    - `cache_folder` and the folder in it belong to this user, are no links, and are not writable by
+      group or others.
+    - All folders above belong to this user or root and are not writable by group or others. Above
+      the parent of `cache_folder` they may be, if they have the sticky bit, as ``/tmp`` has.
+
+    Links above `cache_folder` are resolved, and the rules are those of the resolved path.
 
     Args:
         name: of a folder in `cache_folder`; empty for that itself.
@@ -124,8 +127,7 @@ def _check_own(folder: pathlib.Path) -> None:
 def trim_cache() -> None:
     """Remove the compiled code that was used longest ago, if there is more than `LARGEST` bytes.
 
-    Only files with the names that jax and jaxblur give are counted and removed. A process that has
-    loaded one keeps it.
+    Counts and removes only files that jax and jaxblur name. A process that has loaded one keeps it.
     """
     try:
         folder = private_folder()

@@ -41,8 +41,8 @@ def add_options(parser: argparse.ArgumentParser, memory: int, seconds: int) -> N
         "--isolate",
         action="store_true",
         default=None,
-        help="run in a process of its own, with a limit of memory and time, that a crafted file "
-        "can end without harm to anything else (not on Windows)",
+        help="run in a child process with limits of memory and time, so that a crafted file can "
+        "crash or exhaust only that (not on Windows)",
     )
     group.add_argument(
         "--memory",

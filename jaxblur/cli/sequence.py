@@ -27,7 +27,7 @@ LOG = logging.getLogger("jaxblur")
 
 FAILED = 1
 WRITE_FAILURES = 3
-"""After so many write failures in a row the run stops: no frame can be written."""
+"""Frames in a row that cannot be written, after which the run stops."""
 
 # Options that do not change the pixels of an output: places, messages, workers. The file of
 # parameters counts by its contents.
@@ -72,7 +72,7 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
     group.add_argument(
         "--allow-resize",
         action="store_true",
-        help="do not mind frames of another size than the others (otherwise exit status 1)",
+        help="accept frames of another size than most (otherwise they give exit status 1)",
     )
     group.add_argument("--dry-run", action="store_true", help="print the plan, write nothing")
     group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
@@ -294,7 +294,7 @@ class _Run:
                         LOG.error("%d frames in a row cannot be written; stopping.", refused)
                         break
         except KeyboardInterrupt as interruption:
-            # Frames under way are completed: the disk is ahead of the records.
+            # Stages that run are finished first, so frames may be on disk that no record has yet.
             outcomes.close()
             pairs = zip(map(_times, todo), before, strict=True)
             written = sum(None not in now and now != earlier for now, earlier in pairs)

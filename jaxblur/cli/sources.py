@@ -35,13 +35,18 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
         "exposure of the render that wrote the vectors, for presets that span the shutter",
     )
     add_fps(group)
-    group.add_argument(
+    add_max_displace(group)
+    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
+
+
+def add_max_displace(parser: Any) -> None:
+    """Add ``--max-displace`` to a parser, or to a group of one."""
+    parser.add_argument(
         "--max-displace",
         type=positive_number,
         metavar="PX",
-        help="length in pixels of a vector at the end of the range, for presets that scale so",
+        help="length in pixels of a vector at the end of the range, for presets that need it",
     )
-    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
 
 
 def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> Any:

@@ -12,10 +12,10 @@ from .arguments import (
     channel_names,
     file_path,
     positive_integer,
-    positive_number,
 )
 from .console import print_line, print_table
 from .shutter import add_exposure, add_fps
+from .sources import add_max_displace
 
 # The best candidate must explain the motion: leave at most this share of the difference.
 EXPLAINED = 0.8
@@ -46,12 +46,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
     add_exposure(parser, "--shutter", "exposure that the vectors might span", default=0.5)
     add_fps(parser)
-    parser.add_argument(
-        "--max-displace",
-        type=positive_number,
-        metavar="PX",
-        help="length in pixels of a vector at the end of the range, for renderers that scale so",
-    )
+    add_max_displace(parser)
     parser.add_argument(
         "--top",
         type=positive_integer,

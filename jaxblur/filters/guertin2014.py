@@ -373,8 +373,8 @@ def _blur(
 
     if settings.tile_choice != "expected":
         return of_choice(None)[None]
-    # Not by `lax.map`: JAX drops the derivatives of what a loop calls when it is differentiated
-    # twice. The function is traced once.
+    # Not by `lax.map`: where a loop is differentiated twice, JAX drops the derivative rules of the
+    # functions in it. Under `jit` the three calls share one trace.
     of_choice = jax.jit(of_choice)
     return jnp.stack([of_choice(jnp.asarray(k, frame.color.dtype)) for k in range(3)])
 
