@@ -70,8 +70,8 @@ def gears() -> Scene:
 def wheels_at_three_depths() -> Scene:
     """Three wheels of different colors, depths and directions of travel.
 
-    After the scene of Guertin 2014, figure 3.14, whose subject is the order of motion blur and
-    defocus; here it tests overlapping translations at three depths.
+    After Guertin 2014, figure 3.14: overlapping translations at three depths. The subject of the
+    figure is the order of motion blur and defocus.
     """
     rolling = [
         ("near", "#c0392b", (-1.5, -0.5, 2.2), (0.16, 0.03, 0), 1.0),
