@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..kernels import At, Image
+from ..kernels import At, Image, nearest_place
 from ..settings import Border, Fetch, Settings
 
 FEWEST = 5
@@ -98,7 +98,7 @@ def find_texel(
     Returns:
         The texel.
     """
-    right, down = (jnp.floor(offset + 0.5).astype(jnp.int32) for offset in (offset_x, offset_y))
+    right, down = nearest_place(offset_x, offset_y)
     x, y = at.column + right, at.row + down
     near_x, near_y = jnp.clip(x, 0, image.width - 1), jnp.clip(y, 0, image.height - 1)
     inside = (near_x == x) & (near_y == y)

@@ -18,3 +18,4 @@ from .program import (
     mark_over as mark_over,
     sum_over as sum_over,
 )
+from .reads import nearest_place as nearest_place

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jax.extend import core
 
-from .program import read_table
+from .reads import place_primitive, read_table, rounded
 
 _SAME = {"broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze"}
 """Operations that leave a scalar as it is."""
@@ -34,8 +34,25 @@ def opened(jaxpr: Any) -> tuple[Any, Sequence[Any]]:
     return (jaxpr.jaxpr, jaxpr.consts) if isinstance(jaxpr, core.ClosedJaxpr) else (jaxpr, ())
 
 
+def inlined(closed: Any) -> Any:
+    """The same jaxpr of scalars without calls of other jaxprs."""
+    jaxpr = closed.jaxpr
+
+    def run(*inputs: Any) -> list[Any]:
+        values = dict(zip(jaxpr.constvars, closed.consts, strict=True))
+        values |= zip(jaxpr.invars, inputs, strict=True)
+        look = evaluate(jaxpr.eqns, values, keeps_places=True)
+        return [look(variable) for variable in jaxpr.outvars]
+
+    shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in jaxpr.invars]
+    return jax.make_jaxpr(run)(*shapes)
+
+
 def evaluate(
-    equations: Sequence[Any], values: dict[Any, Any], wanted: Sequence[Any] | None = None
+    equations: Sequence[Any],
+    values: dict[Any, Any],
+    wanted: Sequence[Any] | None = None,
+    keeps_places: bool = False,
 ) -> Callable[[Any], Any]:
     """Evaluate equations.
 
@@ -44,6 +61,7 @@ def evaluate(
         values: of the variables that are known.
         wanted: variables that are needed; equations that they do not depend on are left out. All
             equations if None.
+        keeps_places: whether `nearest_place` stays an operation of its own.
 
     Returns:
         A function from a variable or a literal to its value.
@@ -55,14 +73,14 @@ def evaluate(
             return np.asarray(atom.val, getattr(atom.aval, "dtype", None))
         return values[atom]
 
-    chosen = equations if wanted is None else _live(equations, wanted)
+    chosen = equations if wanted is None else live(equations, wanted)
     for equation in chosen:
-        results = _equation(equation, [look(atom) for atom in equation.invars])
+        results = _equation(equation, [look(atom) for atom in equation.invars], keeps_places)
         values.update(zip(equation.outvars, results, strict=True))
     return look
 
 
-def _live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
+def live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
     """The equations that the wanted variables depend on."""
     needed = {v for v in wanted if not isinstance(v, core.Literal)}
     chosen = []
@@ -73,13 +91,15 @@ def _live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
     return chosen[::-1]
 
 
-def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
+def _equation(equation: Any, inputs: list[Any], keeps_places: bool) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
+    if equation.primitive is place_primitive:
+        return place_primitive.bind(*inputs, **parameters) if keeps_places else rounded(*inputs)
     if name in _INNER:
         inner, constants = opened(parameters.get("jaxpr") or parameters.get("call_jaxpr"))
         values = dict(zip(inner.constvars, constants, strict=True))
         values |= zip(inner.invars, inputs, strict=True)
-        look = evaluate(inner.eqns, values, inner.outvars)
+        look = evaluate(inner.eqns, values, inner.outvars, keeps_places)
         return [look(variable) for variable in inner.outvars]
     if name == "gather" and equation.invars[0].aval.ndim == 1:
         return [read_table(*inputs)]

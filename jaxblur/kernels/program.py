@@ -14,18 +14,15 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from .planes import inlined
+from .reads import read_table
+
 T = TypeVar("T")
-
-_ONE_ELEMENT = lax.GatherDimensionNumbers(
-    offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
-)
-
 
 class At(NamedTuple):
     """The pixel that a program computes, whole numbers from 0 at the top left."""
@@ -138,22 +135,6 @@ class Image:
         return tuple(read_table(table, start + k if k else start) for k in channels)
 
 
-def read_table(table: jax.Array, index: Array) -> Array:
-    """Elements of a flat table at places that are known to lie inside it.
-
-    Args:
-        table: (elements,) values.
-        index: places, of any shape.
-
-    Returns:
-        Values of the index's shape.
-    """
-    return lax.gather(
-        *(table, index[..., None], _ONE_ELEMENT, (1,)),
-        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
-    )
-
-
 class Outcome(NamedTuple):
     """What a program computes.
 
@@ -197,7 +178,7 @@ def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = Non
         structure[:] = [tree]
         return [jnp.asarray(leaf) for leaf in leaves]
 
-    closed = jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32))
+    closed = inlined(jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32)))
     limits = [] if limit is None else [jnp.asarray(limit)]
     sums = sum_primitive.bind(
         *closed.consts, *limits, jaxpr=closed.jaxpr, count=count, limited=bool(limits)
@@ -227,6 +208,6 @@ def mark_over(
     def flat(index: Array) -> list[Array]:
         return [jnp.asarray(number, jnp.int32) for pair in mark(index) for number in pair]
 
-    closed = jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32))
+    closed = inlined(jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32)))
     operands = *closed.consts, jnp.asarray(limit)
     return tuple(marks_primitive.bind(*operands, jaxpr=closed.jaxpr, count=0, limited=True))

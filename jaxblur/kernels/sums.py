@@ -212,16 +212,15 @@ def _with_derivatives(
 ) -> Terms:
     """The terms of a sample, then their derivatives with respect to each active local value."""
 
-    def derivatives(position: int) -> Terms:
-        (value,) = local[position]
+    def terms(*values: Any) -> Terms:
+        changed = replaced(local, active, [(value,) for value in values])
+        return tuple(sample(index, place, changed, tables))
 
-        def of_value(value: Any) -> Terms:
-            return tuple(sample(index, place, replaced(local, [position], [(value,)]), tables))
-
-        return jax.jvp(of_value, (value,), (jnp.ones_like(value),))[1]
-
-    terms = tuple(sample(index, place, local, tables))
-    return sum((derivatives(position) for position in active), start=terms)
+    values = [local[position][0] for position in active]
+    results, push = jax.linearize(terms, *values)
+    zeros = [jnp.zeros_like(value) for value in values]
+    directions = [replaced(zeros, [k], [jnp.ones_like(v)]) for k, v in enumerate(values)]
+    return sum((tuple(push(*direction)) for direction in directions), start=tuple(results))
 
 
 def _local_derivatives(

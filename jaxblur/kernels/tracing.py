@@ -16,7 +16,8 @@ from jax import lax
 from jax.extend import core
 from jaxtyping import Array
 
-from .planes import evaluate
+from .places import results_of
+from .planes import evaluate, inlined
 from .program import At, Image, Outcome, marks_primitive, sum_primitive
 
 Program = Callable[[At, Any, Any, Any], Outcome]
@@ -191,7 +192,7 @@ def _trace(
     inputs = [whole, whole]
     for kind in kinds:
         inputs += _shapes(kind)
-    jaxpr = jax.make_jaxpr(on_scalars)(*inputs)
+    jaxpr = inlined(jax.make_jaxpr(on_scalars)(*inputs))
     cut = _Cut(jaxpr, kinds, *shape)
     name = getattr(program, "__name__", type(program).__name__)
     results = tuple(variable.aval.dtype.name for variable in cut.values)
@@ -384,13 +385,14 @@ class _Cut:
             values[self.table[number]] = table
         return values
 
-    def _run(self, numbers: Sequence[int], values: dict[Any, Any]) -> Callable[[Any], Any]:
-        """Evaluate equations; the result looks a variable up."""
-        return evaluate([self.jaxpr.eqns[number] for number in numbers], values)
+    def _run(self, numbers: Sequence[int], values: dict[Any, Any], wanted: Any) -> list[Any]:
+        """Evaluate equations for the values of these variables."""
+        return results_of([self.jaxpr.eqns[number] for number in numbers], values, wanted)
 
     def _where(self, place: Place, local: Any, tables: Any) -> Any:
-        look = self._run(self.in_where, self._inputs(place, local, tables))
-        return look(self.where), [look(variable) for variable in self.found]
+        values = self._inputs(place, local, tables)
+        where, *found = self._run(self.in_where, values, [self.where, *self.found])
+        return where, found
 
     def _with_found(self, place: Place, local: Any, tables: Any, found: Any) -> dict[Any, Any]:
         return self._inputs(place, local, tables) | dict(zip(self.found, found, strict=True))
@@ -404,29 +406,28 @@ class _Cut:
         tables: Any,
         found: Any,
     ) -> list[Any]:
-        look = self._run(numbers, self._with_found(place, local, tables, found))
-        return [look(variable) for variable in results]
+        return self._run(numbers, self._with_found(place, local, tables, found), results)
 
     def _prepare(self, place: Place, local: Any, tables: Any, found: Any) -> list[Any]:
-        look = self._run(self.before, self._with_found(place, local, tables, found))
-        return [_as_real(look(variable)) for variable in self.prepared]
+        values = self._with_found(place, local, tables, found)
+        return [_as_real(value) for value in self._run(self.before, values, self.prepared)]
 
     def _late(self, place: Place, prepared: Any, local: Any, tables: Any) -> dict[Any, Any]:
         """Inputs of what comes after the preparation."""
         values = self._inputs(place, local, tables)
         for variable, value in zip(self.prepared, prepared, strict=True):
             values[variable] = value != 0 if variable.aval.dtype == bool else value
-        look = self._run(self.repeated, values)
-        return values | {variable: look(variable) for variable in self.again}
+        return values | dict(
+            zip(self.again, self._run(self.repeated, values, self.again), strict=True)
+        )
 
     def _sample(self, index: Any, place: Place, prepared: Any, tables: Any) -> list[Any]:
         equation = self.jaxpr.eqns[self.loop or 0]
-        look = self._run([], self._late(place, prepared, None, tables))
+        look = evaluate([], self._late(place, prepared, None, tables))
         inner, operands = equation.params["jaxpr"], equation.invars
         operands = operands[: len(inner.constvars)]
         values = {v: look(o) for v, o in zip(inner.constvars, operands, strict=True)}
-        look = evaluate(inner.eqns, values | {inner.invars[0]: index}, inner.outvars)
-        return [look(variable) for variable in inner.outvars]
+        return results_of(inner.eqns, values | {inner.invars[0]: index}, inner.outvars)
 
     def _limit(self, prepared: Any) -> Any:
         limit = self.jaxpr.eqns[self.loop or 0].invars[-1]
@@ -438,8 +439,7 @@ class _Cut:
         loop = self.jaxpr.eqns[self.loop or 0]
         values = self._late(place, prepared, local, None)
         values |= zip(loop.outvars, sums, strict=True)
-        look = self._run(self.after, values)
-        return [look(variable) for variable in self.values]
+        return self._run(self.after, values, self.values)
 
 
 def _is_literal(variable: Any) -> bool:

@@ -1,0 +1,88 @@
+"""How a program reads: one element of a table, and the texel nearest to an offset."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+_ONE_ELEMENT = lax.GatherDimensionNumbers(
+    offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
+)
+
+
+def read_table(table: jax.Array, index: Array) -> Array:
+    """Elements of a flat table at places that are known to lie inside it.
+
+    Args:
+        table: (elements,) values.
+        index: places, of any shape.
+
+    Returns:
+        Values of the index's shape.
+    """
+    return lax.gather(
+        *(table, index[..., None], _ONE_ELEMENT, (1,)),
+        mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
+    )
+
+
+place_primitive = Primitive("nearest_place")
+place_primitive.multiple_results = True
+
+
+def rounded(x: ArrayLike, y: ArrayLike) -> list[Array]:
+    """The nearest whole numbers of both, ``floor(x + 1/2)``."""
+    return [jnp.floor(jnp.asarray(part) + 0.5).astype(jnp.int32) for part in (x, y)]
+
+
+def _rounded(x: ArrayLike, y: ArrayLike, *, blends: bool) -> list[Array]:
+    return rounded(x, y)
+
+
+place_primitive.def_impl(_rounded)
+place_primitive.def_abstract_eval(
+    lambda x, y, blends: [ShapedArray(part.shape, jnp.int32) for part in (x, y)]
+)
+mlir.register_lowering(place_primitive, mlir.lower_fun(_rounded, multiple_results=True))
+
+
+def _rounded_jvp(primals: Any, _: Any, *, blends: bool) -> tuple[Any, Any]:
+    wholes = place_primitive.bind(*primals, blends=blends)
+    return wholes, [ad.Zero.from_primal_value(whole) for whole in wholes]
+
+
+def _rounded_batched(operands: Any, axes: Any, *, blends: bool) -> tuple[Any, list[int]]:
+    size = next(o.shape[axis] for o, axis in zip(operands, axes, strict=True) if axis is not None)
+    moved = [batching.bdim_at_front(o, axis, size) for o, axis in zip(operands, axes, strict=True)]
+    return place_primitive.bind(*moved, blends=blends), [0, 0]
+
+
+# Where a filter's functions run outside a program, on arrays, the texel is held.
+ad.primitive_jvps[place_primitive] = _rounded_jvp
+batching.primitive_batchers[place_primitive] = _rounded_batched
+
+
+def nearest_place(x: Array, y: Array, blends: bool = False) -> tuple[Array, Array]:
+    """The texel nearest to an offset, by which a program reads images; to be differentiated.
+
+    A texel changes by a jump as the offset grows, and the picture, which is a mean over thousands
+    of samples, changes smoothly. So the derivative of what a program computes from a texel is that
+    of a blend over the four texels around the offset, each computed with its texel held; see
+    `.places`.
+
+    Args:
+        x: offset in pixels to the right.
+        y: offset in pixels downward.
+        blends: the value is that blend too, rather than what the nearest texel gives.
+
+    Returns:
+        Whole pixels to the right and downward, ``floor(x + 1/2)`` and ``floor(y + 1/2)``.
+    """
+    across, down = place_primitive.bind(jnp.asarray(x), jnp.asarray(y), blends=blends)
+    return across, down
