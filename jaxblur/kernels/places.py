@@ -1,20 +1,19 @@
 """The derivative in the place at which a program reads.
 
 A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
-texel, f(n), changes by jumps as o grows, and its mean over samples and pixels changes smoothly: it
-is that of a blend over the texels around the offset,
+texel, f(n), changes by jumps as o grows; its mean over samples and pixels changes smoothly. That
+mean is the one of a blend over the texels around the offset, here with the weights of a quadratic
+B-spline (the mean of linear interpolation over a texel), whose derivative along each axis is, with
+``a = o - n`` in [-1/2, 1/2),
 
-    B(o) = sum_c share_c(o) f(c),  c the four texels around o,
+    dB/do = (1/2 + a) (f(n + 1) - f(n)) + (1/2 - a) (f(n) - f(n - 1)).
 
-whose derivative is, along each axis and with s = -1 or 1 the side of the texel's middle on which
-the offset lies,
-
-    dB/do = s (f(n + s) - f(n)).
-
-The terms of a sample are blended, never what is read, so that opposed motions do not cancel.
-Where a program reads at several places, one is varied at a time.
+It looks to both sides, so that it is right for motion along an axis too, where every offset across
+the motion is 0. What is blended is the result, never what is read, so that opposed motions do not
+cancel. Where a program reads at several places, one is varied at a time.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,7 +26,9 @@ from .planes import evaluate, live
 from .reads import place_primitive, rounded
 
 
-def results_of(equations: Sequence[Any], values: dict[Any, Any], wanted: Sequence[Any]) -> Any:
+def results_of(
+    equations: Sequence[Any], values: dict[Any, Any], wanted: Sequence[Any]
+) -> list[Any]:
     """Evaluate equations, with the derivative in the places at which they read.
 
     Args:
@@ -36,15 +37,15 @@ def results_of(equations: Sequence[Any], values: dict[Any, Any], wanted: Sequenc
         wanted: variables or literals.
 
     Returns:
-        The values of `wanted`, a list.
+        The values of `wanted`.
     """
     chosen = live(equations, wanted)
-    made = {variable for equation in chosen for variable in equation.outvars}
-    results = [v for v in dict.fromkeys(v for v in wanted if _is_variable(v)) if v in made]
     if not any(equation.primitive is place_primitive for equation in chosen):
         look = evaluate(chosen, values)
         return [look(variable) for variable in wanted]
-    used = {v for equation in chosen for v in equation.invars if _is_variable(v)}
+    made = {variable for equation in chosen for variable in equation.outvars}
+    used = {v for equation in chosen for v in _read(equation)}
+    results = [v for v in dict.fromkeys(filter(_is_variable, wanted)) if v in made]
     stage = _Stage(chosen, [v for v in values if v in used], results)
     computed = stage(*(jnp.asarray(values[variable]) for variable in stage.inputs))
     look = evaluate([], values | dict(zip(results, computed, strict=True)))
@@ -55,6 +56,58 @@ def _is_variable(atom: Any) -> bool:
     return not isinstance(atom, core.Literal)
 
 
+def _read(equation: Any) -> list[Any]:
+    """The variables that an equation reads."""
+    return [atom for atom in equation.invars if _is_variable(atom)]
+
+
+def _depending(equations: Sequence[Any], variables: Sequence[Any]) -> list[Any]:
+    """The equations that depend on some variables."""
+    touched, chosen = set(variables), []
+    for equation in equations:
+        if not touched.isdisjoint(_read(equation)):
+            touched.update(equation.outvars)
+            chosen.append(equation)
+    return chosen
+
+
+class _Place:
+    """A place at which a stage reads, and what depends on it.
+
+    Attributes:
+        offsets: variables of the offset, x and y.
+        wholes: variables of the nearest texel, x and y.
+        blends: whether the value is a blend over four texels.
+        after: the equations that depend on the texel.
+        around: the variables that those use and that do not depend on it.
+        results: which results of the stage depend on it.
+    """
+
+    def __init__(self, equation: Any, stage: "_Stage") -> None:
+        self.offsets, self.wholes = equation.invars, equation.outvars
+        self.blends: bool = equation.params["blends"]
+        after = _depending(stage.equations, self.wholes)
+        made = {*self.wholes, *(v for later in after for v in later.outvars)}
+        self.results = [
+            k
+            for k, v in enumerate(stage.results)
+            if v in made and jnp.issubdtype(v.aval.dtype, jnp.inexact)
+        ]
+        self.after = live(after, [stage.results[k] for k in self.results])
+        used = dict.fromkeys(v for later in self.after for v in _read(later))
+        self.around = [v for v in used if v not in made]
+
+    def offset(self, look: Any) -> list[jax.Array]:
+        """The offset, x and y."""
+        return [jnp.asarray(look(variable)) for variable in self.offsets]
+
+    def moved(self, stage: "_Stage", look: Any, wholes: Sequence[Any]) -> list[Any]:
+        """The results that depend on the place, with another texel."""
+        known = {variable: look(variable) for variable in self.around}
+        other = evaluate(self.after, known | dict(zip(self.wholes, wholes, strict=True)))
+        return [other(stage.results[k]) for k in self.results]
+
+
 class _Stage:
     """Equations as a function from inputs to results, with a derivative of its own."""
 
@@ -62,6 +115,10 @@ class _Stage:
         self, equations: Sequence[Any], inputs: Sequence[Any], results: Sequence[Any]
     ) -> None:
         self.equations, self.inputs, self.results = equations, inputs, results
+
+    @functools.cached_property
+    def places(self) -> list[_Place]:
+        return [_Place(e, self) for e in self.equations if e.primitive is place_primitive]
 
     def __call__(self, *inputs: jax.Array) -> list[jax.Array]:
         @jax.custom_jvp
@@ -75,103 +132,75 @@ class _Stage:
         """The results, and a function from a variable to its value."""
         look = evaluate(self.equations, dict(zip(self.inputs, inputs, strict=True)))
         results = [jnp.asarray(look(variable)) for variable in self.results]
-        for place in self._places():
-            if place.params["blends"]:
-                blend = self._blend(place, look)
-                results = [a + b for a, b in zip(results, blend, strict=True)]
+        blends = [
+            (place, self._blend(place, look, results)) for place in self.places if place.blends
+        ]
+        for place, blend in blends:
+            for k, more in zip(place.results, blend, strict=True):
+                results[k] = results[k] + more
         return results, look
 
-    def _places(self) -> list[Any]:
-        return [e for e in self.equations if e.primitive is place_primitive]
-
     def _derivative(self, inputs: Any, changes: Any) -> Any:
+        """The derivative with the texels held, and that in each place."""
         active = [k for k, change in enumerate(changes) if not isinstance(change, SymbolicZero)]
-        reached = self._reached([self.inputs[k] for k in active])
+        moving = _depending(self.equations, [self.inputs[k] for k in active])
+        reached = {self.inputs[k] for k in active} | {v for e in moving for v in e.outvars}
         places = [
             place
-            for place in self._places()
-            if not place.params["blends"] and reached & set(map(_hashable, place.invars))
+            for place in self.places
+            if not place.blends and any(_is_variable(v) and v in reached for v in place.offsets)
         ]
-        kept = sorted({v for place in places for v in self._around(place)}, key=self._number)
+        names = [v for place in places for v in (*place.around, *place.offsets)]
+        kept = list(dict.fromkeys(filter(_is_variable, names)))
 
-        def smooth(*values: Any) -> tuple[Any, Any]:
+        def with_texels_held(*values: Any) -> tuple[Any, Any]:
             every = list(inputs)
             for k, value in zip(active, values, strict=True):
                 every[k] = value
             results, look = self._values(every)
-            offsets = [[jnp.asarray(look(v)) for v in place.invars] for place in places]
-            return (results, offsets), [look(variable) for variable in kept]
+            return (results, [place.offset(look) for place in places]), list(map(look, kept))
 
-        primals, tangents = [inputs[k] for k in active], [changes[k] for k in active]
-        (results, _), (change, moves), around = jax.jvp(
-            smooth, primals, tangents, has_aux=True
+        (results, _), (change, moves), values = jax.jvp(
+            with_texels_held,
+            [inputs[k] for k in active],
+            [changes[k] for k in active],
+            has_aux=True,
         )
-        look = evaluate([], dict(zip(kept, around, strict=True)))
-        for place, tangent in zip(places, moves, strict=True):
-            for axis, along in enumerate(tangent):
+        look = evaluate([], dict(zip(kept, values, strict=True)))
+        for place, tangents in zip(places, moves, strict=True):
+            for axis, tangent in enumerate(tangents):
                 slopes = self._slopes(place, look, axis, results)
-                change = [
-                    total if slope is None else total + slope * along
-                    for total, slope in zip(change, slopes, strict=True)
-                ]
+                for k, slope in zip(place.results, slopes, strict=True):
+                    change[k] = change[k] + slope * tangent
         return results, change
 
-    def _slopes(self, place: Any, look: Any, axis: int, results: Any) -> list[Any]:
-        """Derivative of each result by an offset along one axis; None where there is none."""
-        offset = jnp.asarray(look(place.invars[axis]))
-        whole = rounded(*(look(v) for v in place.invars))
-        side = jnp.where(offset < whole[axis], -1, 1)
-        moved = list(whole)
-        moved[axis] = whole[axis] + side
-        beside = self._moved(place, look, moved)
-        return [
-            (other - result) * side.astype(result.dtype)
-            if other is not None and jnp.issubdtype(result.dtype, jnp.inexact)
-            else None
-            for result, other in zip(results, beside, strict=True)
+    def _slopes(self, place: _Place, look: Any, axis: int, results: Any) -> list[jax.Array]:
+        """Derivatives by the offset along an axis, of the results that depend on the place."""
+        offset = place.offset(look)
+        whole = rounded(*offset)
+        after, before = list(whole), list(whole)
+        after[axis], before[axis] = whole[axis] + 1, whole[axis] - 1
+        share = 0.5 + (offset[axis] - whole[axis])
+        held = [results[k] for k in place.results]
+        pairs = zip(
+            place.moved(self, look, after), held, place.moved(self, look, before), strict=True
+        )
+        return [share * (b - a) + (1 - share) * (a - c) for b, a, c in pairs]
+
+    def _blend(self, place: _Place, look: Any, results: Any) -> list[jax.Array]:
+        """What the blend over the four texels around the offset differs by from the nearest."""
+        offset = place.offset(look)
+        whole = rounded(*offset)
+        sides = [jnp.where(o < n, -1, 1) for o, n in zip(offset, whole, strict=True)]
+        across, down = (abs(o - n) for o, n in zip(offset, whole, strict=True))
+        (x, y), (side_x, side_y) = whole, sides
+        corners = [
+            (across * (1 - down), place.moved(self, look, [x + side_x, y])),
+            ((1 - across) * down, place.moved(self, look, [x, y + side_y])),
+            (across * down, place.moved(self, look, [x + side_x, y + side_y])),
         ]
-
-    def _after(self, place: Any) -> list[Any]:
-        """The equations that depend on a place."""
-        touched, chosen = set(place.outvars), []
-        for equation in self.equations:
-            if any(v in touched for v in equation.invars if _is_variable(v)):
-                touched |= set(equation.outvars)
-                chosen.append(equation)
-        return chosen
-
-    def _around(self, place: Any) -> set[Any]:
-        """The variables that have to be known to move a place: its offsets, and what joins it."""
-        after = self._after(place)
-        made = {*place.outvars, *(v for equation in after for v in equation.outvars)}
-        used = {v for e in (place, *after) for v in e.invars if _is_variable(v)}
-        return used - made
-
-    def _moved(self, place: Any, look: Any, moved: Sequence[Any]) -> list[Any]:
-        """The results as they are with another place; None for those that do not depend on it."""
-        after = self._after(place)
-        made = {v for equation in after for v in equation.outvars}
-        known = {v: look(v) for v in self._around(place)}
-        known |= zip(place.outvars, moved, strict=True)
-        wanted = [v for v in self.results if v in made]
-        other = evaluate(after, known, wanted)
-        return [other(v) if v in made else None for v in self.results]
-
-    def _blend(self, place: Any, look: Any) -> list[Any]:
-        raise NotImplementedError
-
-    def _reached(self, variables: Sequence[Any]) -> set[Any]:
-        """The variables that depend on these."""
-        reached = set(variables)
-        for equation in self.equations:
-            if reached & set(map(_hashable, equation.invars)):
-                reached |= set(equation.outvars)
-        return reached
-
-    def _number(self, variable: Any) -> int:
-        order = [*self.inputs, *(v for e in self.equations for v in e.outvars)]
-        return order.index(variable)
-
-
-def _hashable(atom: Any) -> Any:
-    return atom if _is_variable(atom) else None
+        held = [results[k] for k in place.results]
+        return [
+            sum(share * (values[k] - own) for share, values in corners)
+            for k, own in enumerate(held)
+        ]
