@@ -1,16 +1,14 @@
 """The derivative in the place at which a program reads.
 
 A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
-texel, f(n), changes by jumps as o grows; its mean over samples and pixels changes smoothly. That
-mean is the one of a blend over the texels around the offset, here with the weights of a quadratic
-B-spline (the mean of linear interpolation over a texel), whose derivative along each axis is, with
-``a = o - n`` in [-1/2, 1/2),
+texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls anywhere
+between two texels, changes smoothly. That mean is the one of linear interpolation between the
+results, with s = -1 or 1 the side of the texel's middle on which o lies:
 
-    dB/do = (1/2 + a) (f(n + 1) - f(n)) + (1/2 - a) (f(n) - f(n - 1)).
+    B(o) = f(n) + s (o - n) (f(n + s) - f(n)),    dB/do = s (f(n + s) - f(n)).
 
-It looks to both sides, so that it is right for motion along an axis too, where every offset across
-the motion is 0. What is blended is the result, never what is read, so that opposed motions do not
-cancel. Where a program reads at several places, one is varied at a time.
+What is interpolated is the result, never what is read, so that opposed motions do not cancel. The
+two axes are varied one at a time, and where a program reads at several places, these too.
 """
 
 import functools
@@ -176,16 +174,19 @@ class _Stage:
 
     def _slopes(self, place: _Place, look: Any, axis: int, results: Any) -> list[jax.Array]:
         """Derivatives by the offset along an axis, of the results that depend on the place."""
-        offset = place.offset(look)
-        whole = rounded(*offset)
-        after, before = list(whole), list(whole)
-        after[axis], before[axis] = whole[axis] + 1, whole[axis] - 1
-        share = 0.5 + (offset[axis] - whole[axis])
-        held = [results[k] for k in place.results]
-        pairs = zip(
-            place.moved(self, look, after), held, place.moved(self, look, before), strict=True
-        )
-        return [share * (b - a) + (1 - share) * (a - c) for b, a, c in pairs]
+        (along, across), whole = place.offset(look), rounded(*place.offset(look))
+        if axis == 1:
+            along, across = across, along
+        along, across = along - whole[axis], across - whole[1 - axis]
+        # For motion along the other axis every offset is 0 here; there the sides take turns.
+        side = jnp.where(jnp.where(along == 0, across, along) < 0, -1, 1)
+        moved = list(whole)
+        moved[axis] = whole[axis] + side
+        others = place.moved(self, look, moved)
+        return [
+            side.astype(other.dtype) * (other - results[k])
+            for k, other in zip(place.results, others, strict=True)
+        ]
 
     def _blend(self, place: _Place, look: Any, results: Any) -> list[jax.Array]:
         """What the blend over the four texels around the offset differs by from the nearest."""
