@@ -2,10 +2,16 @@
 
 A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
 texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls anywhere
-between two texels, changes smoothly. That mean is the one of linear interpolation between the
-results, with s = -1 or 1 the side of the texel's middle on which o lies:
+between two texels, changes smoothly. The derivative of that mean is the one of an interpolation
+between the results, with ``a = o - n`` and s = -1 or 1 the side of the texel's middle on which o
+lies:
 
-    B(o) = f(n) + s (o - n) (f(n + s) - f(n)),    dB/do = s (f(n + s) - f(n)).
+    B(o) = f(n) + 4 |a|^3 (f(n + s) - f(n)),    dB/do = 12 a^2 s (f(n + s) - f(n)).
+
+Any share of the neighbor that grows from 0 in the middle to 1/2 between the texels has the right
+mean. The cube grows late: the jumps happen between the texels, and how a squared error changes
+there depends on the colors there. In the middle the derivative is that of linear interpolation,
+since for motion along an axis every offset across it is 0.
 
 What is interpolated is the result, never what is read, so that opposed motions do not cancel. The
 two axes are varied one at a time, and where a program reads at several places, these too.
@@ -183,8 +189,9 @@ class _Stage:
         moved = list(whole)
         moved[axis] = whole[axis] + side
         others = place.moved(self, look, moved)
+        slope = side * jnp.where(along == 0, 1, 12 * along * along)
         return [
-            side.astype(other.dtype) * (other - results[k])
+            slope.astype(other.dtype) * (other - results[k])
             for k, other in zip(place.results, others, strict=True)
         ]
 

@@ -24,6 +24,7 @@ from .reads import read_table
 
 T = TypeVar("T")
 
+
 class At(NamedTuple):
     """The pixel that a program computes, whole numbers from 0 at the top left."""
 
