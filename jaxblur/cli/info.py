@@ -165,7 +165,7 @@ def _print_parts(info: Any) -> None:
                 part.name or "-",
                 _window(part.data_window),
                 _window(part.display_window),
-                part.compression + (", deep" if part.deep else ""),
+                _storage(part),
             )
             for index, part in enumerate(info.parts)
         ],
@@ -191,6 +191,13 @@ def _print_not_finite(bad: dict[str, int]) -> None:
         print_line()
         print_table(("channel", ">pixels with NaN or infinity"), list(bad.items()))
         print_line("`jaxblur blur` rejects them in channels that it uses, unless given --nonfinite")
+
+
+def _storage(part: Any) -> str:
+    levels = (", deep" if part.deep else "") + (
+        f", {part.levels} levels" if part.levels > 1 else ""
+    )
+    return part.compression + levels
 
 
 def _window(window: tuple[int, int, int, int]) -> str:

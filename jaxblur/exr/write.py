@@ -22,6 +22,7 @@ from .files import (
     FileStates,
     JaxblurIOWarning,
     describe,
+    inspect,
     open_input,
     pending_message,
     read_span,
@@ -33,9 +34,15 @@ if TYPE_CHECKING:
     from jaxblur.frame import Frame
 
 HALF_MAX = 65504.0
-LOSSLESS = ("none", "rle", "zip", "zips", "piz", "htj2k", "htj2k32", "htj2k256")
+LOSSLESS = ("none", "rle", "zip", "zips", "piz", "zstd", "htj2k", "htj2k32", "htj2k256")
 # Schemes that treat a 32-bit integer and a 32-bit float alike, see `relabel_as_uint`.
 TYPE_BLIND = ("none", "rle", "zip", "zips", "piz")
+# These attributes describe how the model is stored, which may change here; with `textureformat` the
+# writer would expect all levels of a mip-mapped picture.
+STORAGE = (
+    *("openexr:chunkCount", "openexr:levelmode", "openexr:roundingmode", "oiio:miplevels"),
+    *("textureformat", "openexr:dwaCompressionLevel"),
+)
 COLOR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 
@@ -58,6 +65,7 @@ def write_image(
     The file appears under its name only when it is complete. With ``like``, windows, metadata,
     timecode, channel names and types are those of that file, and all its other channels and parts
     are copied bit for bit; its compression is kept if it is lossless and replaced by zip otherwise.
+    Of a mip-mapped file level 0 is written, and a warning says so.
     A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
 
     Args:
@@ -105,6 +113,7 @@ def write_image(
             info = describe(source, like)
             names = choose_color(info, layer, color_channels).channels
             _check_model(path, pixels, info, names)
+            _refuse_deep(path, info, extra)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
             with replacing(path, last_check) as temporary:
                 _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
@@ -265,8 +274,7 @@ def _plan_part(
     scheme = part.compression.partition(":")[0]
     allowed = TYPE_BLIND if uint else LOSSLESS
     header.attribute("compression", scheme if scheme in allowed else "zip")
-    # These attributes describe how the model is stored, which may change here.
-    for name in ("openexr:chunkCount", "openexr:levelmode", "openexr:dwaCompressionLevel"):
+    for name in STORAGE:
         header.erase_attribute(name)
     half = tuple(position for position, _ in replaced if kinds[position] == "half")
     return _Plan(index, header, tuple(c.index for c in kept), replaced, half, uint)
@@ -294,10 +302,33 @@ def _write_parts(
             else:
                 source.seek_subimage(plan.part, 0)
                 _copy_part(path, source, info, output)
+    _report_storage(info, temporary, plans)
     for position, plan in enumerate(plans):
         if plan.uint:
             names = [plan.spec.channelnames[index] for index in plan.uint]
             relabel_as_uint(temporary, position, names)
+
+
+def _report_storage(info: FileInfo, temporary: str, plans: list[_Plan]) -> None:
+    """Say where the file is stored in another way than its model: levels and compression."""
+    levels = {info.parts[plan.part].levels for plan in plans}
+    changes = []
+    if max(levels) > 1:
+        changes.append(f"its level 0 of {max(levels)} is used, and written without the others")
+    for plan, written in zip(plans, inspect(temporary).parts, strict=True):
+        # What the header asks for is lossless; OpenImageIO falls back to zip in silence.
+        wanted = str(plan.spec["compression"])
+        if written.compression != wanted:
+            changes.append(
+                f"part {plan.part} is stored with {written.compression}, because this OpenImageIO "
+                f"cannot write it with {wanted}"
+            )
+    if changes:
+        warnings.warn(
+            f"{printable(info.path)}: {printable('; '.join(changes))}.",
+            JaxblurIOWarning,
+            stacklevel=5,
+        )
 
 
 def _mended_part(
@@ -380,6 +411,17 @@ def _not_copied(path: PathLike, info: FileInfo, part: int, why: str) -> JaxblurI
     return JaxblurIOError(
         path, f"part {name!r} of {info.path} cannot be copied ({why}); pass extra='drop'."
     )
+
+
+def _refuse_deep(path: PathLike, info: FileInfo, extra: str) -> None:
+    """Refuse what OpenImageIO cannot write: deep parts in one file with a flat picture."""
+    deep = next((index for index, part in enumerate(info.parts) if part.deep), None)
+    if deep is not None and extra == "keep":
+        raise JaxblurIOError(
+            path,
+            f"part {deep} of {info.path} is deep, and OpenImageIO cannot write deep and flat parts "
+            "into one file; pass extra='drop'.",
+        )
 
 
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
