@@ -124,7 +124,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
         exr.inspect(source)
         for output in outputs:
             exr.refuse_overwrite(output, source)
-    stages.warn_of_double_blur(arguments.input)
+    stages.warn_of_double_blur(arguments)
     check_outputs(outputs, arguments.overwrite)
     started = time.perf_counter()
     loaded = stages.load(arguments, asked.settings)

@@ -54,18 +54,32 @@ def run(arguments: argparse.Namespace) -> int:
     motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
     if arguments.json:
-        listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
+        views = list(exr.views_of(info))
+        listing = {
+            "path": info.path,
+            "views": views,
+            "parts": [_as_json(part) for part in info.parts],
+        }
         print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
     else:
         print_line(info.path)
         _print_parts(info)
         _print_not_finite(bad)
         print_line()
+        if views := exr.views_of(info):
+            print_line(f"views: {', '.join(views)}; --layer chooses one, {views[0]} is the default")
         for what, found in picture.items():
             channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
-            print_line(f"{what}: {channels}")
+            print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
         _print_motion(motion)
     return 0
+
+
+def _borrowed(info: Any, arguments: argparse.Namespace, channels: Sequence[str]) -> str:
+    from jaxblur import exr
+
+    words = exr.borrowed_from(info, arguments.layer, channels) if channels else ""
+    return f" ({words})" if words else ""
 
 
 def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:
@@ -106,7 +120,8 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
         if arguments.preset != "auto" or arguments.velocity_channels:
             raise
         return {"preset": None, "reason": in_option_names(error.reason, vars(arguments))}
-    found = {"preset": guess.preset.name, "channels": guess.channels, "reason": guess.reason}
+    reason = guess.reason + _borrowed(info, arguments, guess.channels)
+    found = {"preset": guess.preset.name, "channels": guess.channels, "reason": reason}
     missing = _missing_option(guess.preset, arguments)
     if missing:
         return found | {"speeds": None, "needs": missing}

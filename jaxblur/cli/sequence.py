@@ -161,7 +161,7 @@ class FrameWork:
     def read(self, job: Any, _: None) -> stages.Loaded:
         """Read a frame and its truth."""
         with about_frame(job.frame):
-            stages.warn_of_double_blur(job.inputs["input"])
+            stages.warn_of_double_blur(self._at(job))
             return stages.load(self._at(job), self.asked.settings)
 
     def blur(self, job: Any, loaded: stages.Loaded) -> tuple[stages.Loaded, stages.Choice, Any]:

@@ -26,6 +26,8 @@ STILL = 0.5
 """Half-spread in pixels that no filter blurs."""
 PASSED_THROUGH = "none"
 """In the place of the filter's name for a frame that was not blurred."""
+BLURRED = "jaxblur:blurred"
+"""Header attribute: the color channels that were blurred, by this and by earlier runs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -268,23 +270,43 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
         "sky": arguments.sky,
     }
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    now = set() if chosen.name == PASSED_THROUGH else set(buffers.color_channels)
     return {
         "jaxblur:version": jaxblur.__version__,
         "jaxblur:filter": chosen.name,
         "jaxblur:parameters": _toml(chosen.parameters),
         "jaxblur:settings": _toml(used),
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
+        BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
     }
 
 
-def warn_of_double_blur(path: pathlib.Path) -> None:
-    """Warn if a frame was blurred before."""
+def warn_of_double_blur(arguments: argparse.Namespace) -> None:
+    """Warn if the color of a frame was blurred before; other views and layers do not count."""
     from jaxblur import exr
 
-    earlier = [part.attributes.get("jaxblur:filter") for part in exr.inspect(path).parts]
-    for name in earlier:
-        if name is not None and name != PASSED_THROUGH:
-            LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+    path = arguments.input
+    found = exr.choose_color(exr.inspect(path), arguments.layer, arguments.color_channels)
+    earlier = _blurred_before(path)
+    for name in dict.fromkeys(earlier[name] for name in found.channels if name in earlier):
+        LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+
+
+def _blurred_before(path: pathlib.Path) -> dict[str, str]:
+    """The channels of a frame that were blurred before, and the filter recorded for their part."""
+    from jaxblur import exr
+
+    blurred: dict[str, str] = {}
+    info = exr.inspect(path)
+    for part in info.parts:
+        notes = part.attributes
+        recorded = str(notes.get(BLURRED, "")).split(", ")
+        names = [name for name in recorded if name in info.channel_names]
+        if not names and notes.get("jaxblur:filter", PASSED_THROUGH) != PASSED_THROUGH:
+            # Names change if parts are dropped, and older versions recorded none.
+            names = [channel.name for channel in part.channels]
+        blurred |= dict.fromkeys(names, str(notes.get("jaxblur:filter")))
+    return blurred
 
 
 def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:

@@ -24,9 +24,11 @@ and, where there is alpha, premultiplied; it is neither clipped nor converted.
 from .._util.errors import JaxblurIOError as JaxblurIOError
 from .choose import (
     ColorGroup as ColorGroup,
+    borrowed_from as borrowed_from,
     choose_color as choose_color,
     choose_depth as choose_depth,
     choose_vectors as choose_vectors,
+    views_of as views_of,
 )
 from .files import (
     Channel as Channel,
