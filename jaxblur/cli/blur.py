@@ -3,6 +3,7 @@
 import argparse
 import logging
 import pathlib
+import re
 import time
 from typing import Any
 
@@ -23,6 +24,8 @@ from .filtering import (
     CHOICES,
     add_filter_options,
     add_nonfinite_option,
+    add_quality_option,
+    add_seed_option,
     complete,
     describe_filters,
     report_ignored,
@@ -66,6 +69,8 @@ def add_parser(commands: Any) -> None:
     results.add_option(parser)
     add_compute_options(parser)
     group = add_filter_options(parser)
+    add_quality_option(group)
+    add_seed_option(group)
     group.add_argument(
         "--parameters",
         type=pathlib.Path,
@@ -119,6 +124,8 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     from jaxblur import exr
 
     arguments.in_sequence = False
+    if arguments.seed == "frame":
+        arguments.seed = _number_in(arguments.input)
     outputs = _outputs(arguments)
     for source in _sources(arguments):
         exr.inspect(source)
@@ -132,7 +139,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     start_jax(not arguments.no_compile_cache)
     chosen = stages.choose(arguments, asked, loaded)
-    blurred = stages.blur(chosen, loaded)
+    blurred = stages.blur(chosen, loaded, arguments.seed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: blurred}
     scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
@@ -152,6 +159,14 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     return 0
 
 
+def _number_in(path: pathlib.Path) -> int:
+    """The number of a frame, which is the last one in its name, for ``--seed frame``."""
+    numbers = re.findall(r"\d+", path.stem)
+    if not numbers:
+        raise CommandError(f"--seed frame: {path.name} has no frame number; give a number.")
+    return int(numbers[-1])
+
+
 def _fitted(path: pathlib.Path | None) -> Any:
     if path is None:
         return None
@@ -161,7 +176,7 @@ def _fitted(path: pathlib.Path | None) -> Any:
 
 
 def _check_plan(arguments: argparse.Namespace) -> None:
-    names = ("filter", "samples", "radius", "spacing", "param", "parameters", *CHOICES)
+    names = ("filter", "samples", "quality", "radius", "spacing", "param", "parameters", *CHOICES)
     excluded = names if arguments.plan else ("tolerance", "budget")
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.

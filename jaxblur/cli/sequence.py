@@ -36,7 +36,17 @@ NOT_A_CHOICE = frozenset(
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
-        *("allow_resize", "argv", "isolate", "memory", "time_limit", "fps", "require_motion"),
+        # The quality counts by its samples.
+        *(
+            "quality",
+            "allow_resize",
+            "argv",
+            "isolate",
+            "memory",
+            "time_limit",
+            "fps",
+            "require_motion",
+        ),
     }
 )
 
@@ -127,6 +137,10 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     from jaxblur.sequence import plan_jobs
 
     arguments.in_sequence = True
+    if arguments.seed is None:
+        # A pattern that stands still over a shot looks like dirt on the lens. The number of the
+        # frame alone decides, so that a frame is the same in every run and on every machine.
+        arguments.seed = "frame"
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
     sources, outputs = _names(arguments)
@@ -175,7 +189,7 @@ class FrameWork:
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
-                return loaded, chosen, stages.blur(chosen, loaded)
+                return loaded, chosen, stages.blur(chosen, loaded, self._at(job).seed)
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
         """Write a frame, and score it; returns the entries of the report."""
@@ -222,8 +236,10 @@ class FrameWork:
             self.devices.put(device)
 
     def _at(self, job: Any) -> argparse.Namespace:
-        inputs = {role: job.inputs.get(role) for role in _ROLES}
-        return argparse.Namespace(**vars(self.arguments) | inputs)
+        here: dict[str, Any] = {role: job.inputs.get(role) for role in _ROLES}
+        if self.arguments.seed == "frame":
+            here["seed"] = job.frame
+        return argparse.Namespace(**vars(self.arguments) | here)
 
 
 _ROLES = ("input", "velocity_from", "depth_from", "truth")

@@ -176,12 +176,13 @@ def passed_through(asked: Choice) -> Choice:
     return Choice(PASSED_THROUGH, {}, settings)
 
 
-def blur(chosen: Choice, loaded: Loaded) -> Any:
+def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     """Run the filter; a frame that is passed through is filtered as if nothing moved.
 
     Args:
         chosen: what is to be run.
         loaded: the frame.
+        seed: moves the noise; None leaves it where it is.
 
     Returns:
         (H, W, C) NumPy array.
@@ -193,7 +194,7 @@ def blur(chosen: Choice, loaded: Loaded) -> Any:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
-    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings)
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed)
 
 
 def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
@@ -269,6 +270,8 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
         "depth": buffers.depth_kind,
         "sky": arguments.sky,
     }
+    if arguments.seed is not None:
+        used["seed"] = arguments.seed
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
     now = set() if chosen.name == PASSED_THROUGH else set(buffers.color_channels)
     return {
