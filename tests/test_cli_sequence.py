@@ -71,7 +71,7 @@ def test_a_sequence_is_its_frames_blurred_one_by_one(shot):
 
 def test_the_noise_moves_with_the_frame(shot):
     path, command = shot
-    for frame in FRAMES:
+    for frame in FRAMES[1:]:
         shutil.copy(path / "in.1001.exr", path / f"in.{frame}.exr")
     assert run(*command).status == 0
     images = [exr.read_image(path / f"out/a.{frame}.exr") for frame in FRAMES]

@@ -13,6 +13,7 @@ from .arguments import (
     CommandError,
     add_command,
     add_compute_options,
+    add_view_option,
     check_outputs,
     describe_presets,
     file_path,
@@ -67,6 +68,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     results.add_option(parser)
+    _add_color_options(parser)
     add_compute_options(parser)
     group = add_filter_options(parser)
     add_quality_option(group)
@@ -86,6 +88,19 @@ def add_parser(commands: Any) -> None:
     )
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
+
+
+def _add_color_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "colors of previews, scores and reports; an EXR keeps its own"
+    )
+    add_view_option(group, "PNG, scores and --result")
+    group.add_argument(
+        "--color-space",
+        metavar="NAME",
+        help="color space of the frame and of a truth in EXR, such as ACEScg, where the files do "
+        "not name it or name a wrong one (default: as in the file, else linear sRGB)",
+    )
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -112,6 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.isolate and not isolation.in_child:
         return isolation.run(arguments)
     _check_plan(arguments)
+    _check_colors(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if sequence.is_asked_for(arguments):
@@ -142,7 +158,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     blurred = stages.blur(chosen, loaded, arguments.seed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: blurred}
-    scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
+    scored = stages.scores_of(images, loaded)
     provenance = stages.provenance(arguments, chosen, loaded.buffers)
     stages.write(arguments, outputs, blurred, provenance, loaded.states)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
@@ -184,6 +200,23 @@ def _check_plan(arguments: argparse.Namespace) -> None:
             option = f"--{name.replace('_', '-')}"
             reason = "--plan auto chooses that" if arguments.plan else "only --plan auto takes it"
             raise CommandError(f"{option}: {reason}; leave out one of the two.")
+
+
+def _check_colors(arguments: argparse.Namespace) -> None:
+    """Reject colors that nothing would be shown in, or that the configuration lacks."""
+    if arguments.view is None and arguments.color_space is None:
+        return
+    from jaxblur import exr
+
+    exr.check_view(arguments.view)
+    exr.check_color_space(arguments.color_space)
+    png = arguments.png or arguments.output.suffix.lower() == ".png"
+    if not png and arguments.truth is None:
+        option = "--view" if arguments.view else "--color-space"
+        raise CommandError(
+            f"{option}: is for previews and scores, and an EXR keeps its colors; add --png or "
+            "--truth, or leave it out."
+        )
 
 
 def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:

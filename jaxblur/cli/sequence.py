@@ -203,7 +203,7 @@ class FrameWork:
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}
-            scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
+            scored = stages.scores_of(images, loaded)
         return {
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,

@@ -51,7 +51,8 @@ class Loaded:
 
     Attributes:
         buffers: as `jaxblur.exr.read_buffers` gives them.
-        truth: (H, W, C) linear light, or None.
+        truth: (H, W, C) linear light that a screen shows, or None.
+        colors: a `jaxblur.exr.Conversion` of the frame's colors to such light.
         speeds: a `jaxblur.vectors.SpeedStatistics`.
         mean_speed: mean half-spread in pixels.
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
@@ -59,6 +60,7 @@ class Loaded:
 
     buffers: Any
     truth: Any
+    colors: Any
     speeds: Any
     mean_speed: float
     states: Any
@@ -107,6 +109,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     return Loaded(
         buffers,
         truth,
+        _colors(arguments, arguments.input, buffers.color_channels[0]),
         speeds,
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         states,
@@ -197,6 +200,22 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed)
 
 
+def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
+    """Score images in the colors of a frame against its truth, as a screen shows them.
+
+    Args:
+        images: (H, W, C) colors of the frame by name.
+        loaded: the frame.
+
+    Returns:
+        `jaxblur.metrics.Scores` by name; empty without a truth.
+    """
+    if loaded.truth is None:
+        return {}
+    shown = {name: loaded.colors.light(image) for name, image in images.items()}
+    return scores(shown, loaded.truth)
+
+
 def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
     """Score images against a truth.
 
@@ -257,6 +276,8 @@ def write(
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
             unchanged=states,
+            color_space=arguments.color_space,
+            view=arguments.view,
         )
         if output.suffix.lower() == ".png":
             LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
@@ -317,14 +338,30 @@ def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
 
     if arguments.truth is None:
         return None
+    info = exr.inspect(arguments.truth)
+    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
     truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    colors = exr.conversion_of(info, channel, arguments.color_space, arguments.view)
+    if not colors.is_identity:
+        LOG.info("colors of the truth: %s", colors.words)
     if truth.shape[:2] != shape[:2]:
         (rows, columns), (height, width) = truth.shape[:2], shape[:2]
         raise CommandError(
             f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
             f"{width}x{height}; render both with the same data window."
         )
-    return truth
+    return colors.light(truth)
+
+
+def _colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str) -> Any:
+    """How the colors of a frame are shown; said in one line if they are shown and converted."""
+    from jaxblur import exr
+
+    colors = exr.conversion_of(exr.inspect(path), channel, arguments.color_space, arguments.view)
+    png = arguments.png or arguments.output.suffix.lower() == ".png"
+    if not colors.is_identity and (png or arguments.truth):
+        LOG.info("colors: %s", colors.words)
+    return colors
 
 
 def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:

@@ -18,7 +18,8 @@ appear under their name only when they are complete. `inspect` lists the content
 and listing do not load jax; only `read_frame` does, at its end.
 
 Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
-and, where there is alpha, premultiplied; it is neither clipped nor converted.
+and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
+`conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.
 """
 
 from .._util.errors import JaxblurIOError as JaxblurIOError
@@ -29,6 +30,12 @@ from .choose import (
     choose_depth as choose_depth,
     choose_vectors as choose_vectors,
     views_of as views_of,
+)
+from .color import (
+    Conversion as Conversion,
+    check_color_space as check_color_space,
+    check_view as check_view,
+    conversion_of as conversion_of,
 )
 from .files import (
     Channel as Channel,

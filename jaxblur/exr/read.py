@@ -22,6 +22,7 @@ from .choose import (
     is_depth,
     views_of,
 )
+from .color import INTEGERS
 from .files import (
     FileInfo,
     JaxblurIOWarning,
@@ -330,7 +331,7 @@ def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.n
     """Read the color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
     color = read_channels(info.path, group.channels)
     for index, name in enumerate(group.channels):
-        if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
+        if info.channel(name).type in INTEGERS and name != group.alpha:
             color[..., index] = srgb.decode(color[..., index])
     return refuse_or_zero(info.path, group.channels, color, nonfinite)
 

@@ -17,6 +17,7 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import printable
 
 from .choose import choose_color, is_depth
+from .color import Conversion, check_color_space, check_view, conversion_of
 from .files import (
     FileInfo,
     FileStates,
@@ -59,6 +60,8 @@ def write_image(
     overwrite: bool = True,
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
+    color_space: str | None = None,
+    view: str | None = None,
 ) -> None:
     """Write an image, alone or in place of the color of another file.
 
@@ -66,7 +69,8 @@ def write_image(
     timecode, channel names and types are those of that file, and all its other channels and parts
     are copied bit for bit; its compression is kept if it is lossless and replaced by zip otherwise.
     Of a mip-mapped file level 0 is written, and a warning says so.
-    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
+    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1, converted from the color
+    space of ``like`` (`jaxblur.exr.conversion_of`); its text ``jaxblur:colors`` says how.
 
     Args:
         path: ``.exr`` or ``.png`` to write.
@@ -83,6 +87,9 @@ def write_image(
             both give a warning.
         unchanged: states of the files that the image was made from, recorded before they were
             read; if one has changed when the new file is complete, that does not appear.
+        color_space: color space of the image, for ``.png``; that of ``like`` if None.
+        view: OpenColorIO view for ``.png``, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB
+            if None.
 
     Raises:
         JaxblurIOError: the image is not finite, sizes or channel counts differ, ``path`` is
@@ -100,7 +107,10 @@ def write_image(
     last_check = unchanged.check if unchanged is not None else None
     kind = pathlib.Path(path).suffix.lower()
     if kind == ".png":
-        _write_png(path, pixels, attributes, last_check)
+        colors = _colors(like, layer, color_channels, color_space, view)
+        if not colors.is_identity:
+            attributes = {**(attributes or {}), "jaxblur:colors": colors.words}
+        _write_png(path, colors.light(pixels), attributes, last_check)
     elif kind != ".exr":
         raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
     elif like is None:
@@ -474,6 +484,23 @@ def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
         for side, displacement in (("previous", moved.previous), ("next", moved.next))
         for index, axis in enumerate("XY")
     }
+
+
+def _colors(
+    like: PathLike | None,
+    layer: str | None,
+    color_channels: Sequence[str] | None,
+    color_space: str | None,
+    view: str | None,
+) -> Conversion:
+    """Find out how the colors of a preview are converted."""
+    if like is not None:
+        info = inspect(like)
+        names = choose_color(info, layer, color_channels).channels
+        return conversion_of(info, names[0], color_space, view)
+    check_view(view)
+    check_color_space(color_space)
+    return Conversion(color_space, "given" if color_space else "", view)
 
 
 def _write_png(
