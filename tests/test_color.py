@@ -118,7 +118,7 @@ def test_a_view_is_that_of_openimageio(tmp_path):
     assert f"ACEScg (chromaticities) to {VIEW} of sRGB - Display, by ocio" in outcome.err
     pixel = oiio.ImageBuf(np.array([[PATCH]], np.float32))
     display = ("sRGB - Display", VIEW, "ACEScg", "", False, False, "", "", "ocio://default")
-    wanted = oiio.ImageBufAlgo.ociodisplay(pixel, *display).get_pixels("float")[0, 0]
+    wanted = np.asarray(oiio.ImageBufAlgo.ociodisplay(pixel, *display).get_pixels("float"))[0, 0]
     assert np.abs(shown(tmp_path / "out.png") - np.clip(wanted, 0, 1) * 255).max() <= 0.51
     assert np.abs(shown(tmp_path / "out.png") - expected()).max() > 5
 
@@ -211,3 +211,15 @@ def test_the_page_says_how_colors_were_converted(tmp_path):
     )
     shot = exr.read_image(tmp_path / "viewed/pictures/000.exr")
     assert metrics.display(shot).max() <= 1
+
+
+def test_a_benchmark_compares_what_a_screen_shows(tmp_path):
+    source = write_patch(tmp_path / "in.exr", chromaticities=ACESCG)
+    truth = tmp_path / "truth.exr"
+    linear = np.clip(AP1_TO_REC709 @ PATCH, 0, None).astype(np.float32)
+    exr.write_image(truth, np.tile(linear, (*SHAPE, 1)), dtype="float")
+    given = ("--truth", truth, "-o", tmp_path / "out.csv", "--methods", "unblurred")
+    outcome = run("bench", source, *given, "--repeats", "1")
+    assert outcome.status == 0, outcome.err
+    (line,) = [line for line in outcome.err.splitlines() if "PSNR" in line]
+    assert float(line.partition("PSNR ")[2].split()[0]) > 50

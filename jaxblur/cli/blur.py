@@ -160,7 +160,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     images = {"input": loaded.buffers.color, chosen.name: blurred}
     scored = stages.scores_of(images, loaded)
     provenance = stages.provenance(arguments, chosen, loaded.buffers)
-    stages.write(arguments, outputs, blurred, provenance, loaded.states)
+    stages.write(arguments, outputs, blurred, provenance, loaded)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in outputs:
         print_line(f"{output}")

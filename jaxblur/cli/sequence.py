@@ -22,6 +22,7 @@ from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
 from .filtering import find_filter
 from .progress import about_frame, frame_messages, progress
+from .recognition import settle_convention
 
 LOG = logging.getLogger("jaxblur")
 
@@ -148,6 +149,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    settle_convention(arguments, sources)
     choices = _choices(arguments, asked)
     plan = plan_jobs(
         frames, sources, outputs, choices, overwrite=arguments.overwrite, cuts=arguments.cut
@@ -199,7 +201,7 @@ class FrameWork:
         with about_frame(job.frame):
             notes = stages.provenance(self._at(job), chosen, loaded.buffers) | job.marks
             notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
-            stages.write(self._at(job), job.outputs, image, notes, loaded.states)
+            stages.write(self._at(job), job.outputs, image, notes, loaded)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}

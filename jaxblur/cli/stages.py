@@ -247,7 +247,7 @@ def write(
     outputs: Sequence[pathlib.Path],
     image: Any,
     provenance: Mapping[str, str],
-    states: Any,
+    loaded: Loaded,
 ) -> None:
     """Write an image to every output of a frame.
 
@@ -256,7 +256,7 @@ def write(
         outputs: ``.exr`` and ``.png`` files.
         image: (H, W, C) linear light.
         provenance: metadata to add.
-        states: of the inputs, as in `Loaded`.
+        loaded: the frame that it was made of.
 
     Raises:
         JaxblurIOError: the file cannot be written, it cannot hold such values, or an input has
@@ -264,8 +264,15 @@ def write(
     """
     from jaxblur import exr
 
+    colors = loaded.colors
     from_exr = arguments.input.suffix.lower() == ".exr"
     for output in outputs:
+        if output.suffix.lower() == ".png":
+            words = {} if colors.is_identity else {exr.COLORS: colors.words}
+            shown, notes = colors.light(image), dict(provenance) | words
+            exr.write_image(output, shown, attributes=notes, unchanged=loaded.states)
+            LOG.info(".png: %s", PNG_TRANSFORM)
+            continue
         exr.write_image(
             output,
             image,
@@ -275,12 +282,8 @@ def write(
             layer=arguments.layer,
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
-            unchanged=states,
-            color_space=arguments.color_space,
-            view=arguments.view,
+            unchanged=loaded.states,
         )
-        if output.suffix.lower() == ".png":
-            LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
 
 
 def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:

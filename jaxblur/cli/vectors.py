@@ -60,7 +60,7 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Rank the conventions of one pair of frames; see `add_parser`."""
     ranking = _rank(arguments)
-    explained = ranking.candidates[0].error <= EXPLAINED * ranking.still_error
+    explained = is_explained(ranking)
     undecided = ranking.undecided
     if arguments.json:
         print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
@@ -69,6 +69,11 @@ def run(arguments: argparse.Namespace) -> int:
         if explained and not undecided and ranking.candidates[0].presets:
             print_line(f"to blur: {_command(arguments, ranking.candidates[0])}")
     return 0 if explained and not undecided else 1
+
+
+def is_explained(ranking: Any) -> bool:
+    """Whether the best candidate of a `jaxblur.vectors.Ranking` brings the frames together."""
+    return ranking.candidates[0].error <= EXPLAINED * ranking.still_error
 
 
 def _rank(arguments: argparse.Namespace) -> Any:

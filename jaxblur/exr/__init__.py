@@ -32,6 +32,7 @@ from .choose import (
     views_of as views_of,
 )
 from .color import (
+    COLORS as COLORS,
     Conversion as Conversion,
     check_color_space as check_color_space,
     check_view as check_view,

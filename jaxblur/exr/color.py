@@ -22,6 +22,8 @@ from .files import FileInfo, JaxblurIOWarning
 BUILT_IN = "ocio://default"
 LINEAR_SRGB = "lin_rec709_scene"
 """The name by the Color Interop Forum of linear light with the primaries of sRGB."""
+COLORS = "jaxblur:colors"
+"""Attribute of a picture that was converted: `Conversion.words`."""
 INTEGERS = ("uint8", "uint16")
 
 # Chromaticities of red, green, blue and white by the same forum's names of the spaces.

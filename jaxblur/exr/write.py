@@ -17,7 +17,7 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import printable
 
 from .choose import choose_color, is_depth
-from .color import Conversion, check_color_space, check_view, conversion_of
+from .color import COLORS, Conversion, check_color_space, check_view, conversion_of
 from .files import (
     FileInfo,
     FileStates,
@@ -109,7 +109,7 @@ def write_image(
     if kind == ".png":
         colors = _colors(like, layer, color_channels, color_space, view)
         if not colors.is_identity:
-            attributes = {**(attributes or {}), "jaxblur:colors": colors.words}
+            attributes = {**(attributes or {}), COLORS: colors.words}
         _write_png(path, colors.light(pixels), attributes, last_check)
     elif kind != ".exr":
         raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
