@@ -152,9 +152,9 @@ def test_vectors_finds_the_convention_of_a_rendered_pair():
     words = "best: row 1; to the next frame a point moves -1 x to the right and +1 y down, in px"
     assert words in outcome.out
     (both,) = [line for line in outcome.out.splitlines() if "two vectors" in line]
-    first, second = both.removeprefix("preset blender has a row for each of its two vectors: ").split(
-        " and "
-    )
+    first, second = both.removeprefix(
+        "preset blender has a row for each of its two vectors: "
+    ).split(" and ")
     assert first == "ViewLayer.Vector.X, ViewLayer.Vector.Y to the previous frame"
     assert second.startswith("ViewLayer.Vector.Z, ViewLayer.Vector.W to the next frame")
     assert outcome.out.rstrip().endswith("preset blender")
