@@ -31,9 +31,8 @@ def add_parser(commands: Any) -> None:
     )
     parser.epilog = (
         "Exit status 1: inconclusive; no candidate brings the frames together, or several do so "
-        "equally well. Units: px is pixels, uv fractions of the width and height of the picture, ndc "
-        "-1 to 1 over it, displace -1 to 1 over --max-displace. The span is the time in frames that "
-        "the vectors cover."
+        "equally well. Units: px is pixels, uv fractions of the picture, ndc -1 to 1 over it, "
+        "displace -1 to 1 over --max-displace. The span is the time in frames that vectors cover."
     )
     parser.add_argument("file", type=file_path, help="frame with motion vectors")
     parser.add_argument(
