@@ -1,5 +1,7 @@
 """Color spaces of files: previews, scores and pages show them as they look, by OpenColorIO."""
 
+import json
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -121,6 +123,15 @@ def test_a_view_is_that_of_openimageio(tmp_path):
     wanted = np.asarray(oiio.ImageBufAlgo.ociodisplay(pixel, *display).get_pixels("float"))[0, 0]
     assert np.abs(shown(tmp_path / "out.png") - np.clip(wanted, 0, 1) * 255).max() <= 0.51
     assert np.abs(shown(tmp_path / "out.png") - expected()).max() > 5
+
+
+def test_info_says_how_colors_are_shown(tmp_path):
+    source = write_patch(tmp_path / "in.exr", chromaticities=ACESCG)
+    words = "ACEScg (chromaticities) to sRGB, by ocio://default"
+    assert f"shown as: {words}\n" in run("info", source).out
+    assert json.loads(run("info", source, "--json").out)["color"]["shown as"] == words
+    plain = write_patch(tmp_path / "plain.exr")
+    assert "shown as: linear sRGB (the file names no color space) to sRGB" in run("info", plain).out
 
 
 def test_unknown_names_are_refused_with_those_there_are(tmp_path):

@@ -71,8 +71,20 @@ def run(arguments: argparse.Namespace) -> int:
         for what, found in picture.items():
             channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
             print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
+            if "shown as" in found:
+                print_line(f"shown as: {found['shown as']}")
         _print_motion(motion)
     return 0
+
+
+def _shown_as(info: Any, channel: str) -> str:
+    """How previews convert the colors, or why they cannot."""
+    from jaxblur import exr
+
+    try:
+        return exr.conversion_of(info, channel).words
+    except ValueError as error:
+        return f"unknown ({error})"
 
 
 def _borrowed(info: Any, arguments: argparse.Namespace, channels: Sequence[str]) -> str:
@@ -90,6 +102,7 @@ def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -
     try:
         group = exr.choose_color(info, arguments.layer)
         found["color"], prefix = {"channels": list(group.channels)}, group.prefix
+        found["color"]["shown as"] = _shown_as(info, group.channels[0])
     except exr.JaxblurIOError as error:
         found["color"] = _nothing(error)
     try:

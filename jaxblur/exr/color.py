@@ -67,7 +67,8 @@ class Conversion:
         if self.space is None:
             start = "linear sRGB (the file names no color space)"
         else:
-            start = f"{self._spaces()[1]} ({self.source})"
+            name = self.space if self.is_identity else self._spaces()[1]
+            start = f"{name} ({self.source})"
         if self.view is None:
             name, end = self._spaces()[0], "sRGB"
         else:
