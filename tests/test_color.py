@@ -129,7 +129,7 @@ def test_info_says_how_colors_are_shown(tmp_path):
     source = write_patch(tmp_path / "in.exr", chromaticities=ACESCG)
     words = "ACEScg (chromaticities) to sRGB, by ocio://default"
     assert f"shown as: {words}\n" in run("info", source).out
-    assert json.loads(run("info", source, "--json").out)["color"]["shown as"] == words
+    assert json.loads(run("info", source, "--json").out)["shown_as"] == words
     plain = write_patch(tmp_path / "plain.exr")
     assert "shown as: linear sRGB (the file names no color space) to sRGB" in run("info", plain).out
 

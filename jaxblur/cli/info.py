@@ -54,12 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
     motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
     if arguments.json:
-        views = list(exr.views_of(info))
-        listing = {
-            "path": info.path,
-            "views": views,
-            "parts": [_as_json(part) for part in info.parts],
-        }
+        listing: dict[str, Any] = {"path": info.path, "views": list(exr.views_of(info))}
+        listing["parts"] = [_as_json(part) for part in info.parts]
+        if picture["color"]["channels"]:
+            listing["shown_as"] = _shown_as(info, picture)
         print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
     else:
         print_line(info.path)
@@ -71,18 +69,18 @@ def run(arguments: argparse.Namespace) -> int:
         for what, found in picture.items():
             channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
             print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
-            if "shown as" in found:
-                print_line(f"shown as: {found['shown as']}")
+        if picture["color"]["channels"]:
+            print_line(f"shown as: {_shown_as(info, picture)}")
         _print_motion(motion)
     return 0
 
 
-def _shown_as(info: Any, channel: str) -> str:
+def _shown_as(info: Any, picture: dict[str, Any]) -> str:
     """How previews convert the colors, or why they cannot."""
     from jaxblur import exr
 
     try:
-        return exr.conversion_of(info, channel).words
+        return exr.conversion_of(info, picture["color"]["channels"][0]).words
     except ValueError as error:
         return f"unknown ({error})"
 
@@ -102,7 +100,6 @@ def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -
     try:
         group = exr.choose_color(info, arguments.layer)
         found["color"], prefix = {"channels": list(group.channels)}, group.prefix
-        found["color"]["shown as"] = _shown_as(info, group.channels[0])
     except exr.JaxblurIOError as error:
         found["color"] = _nothing(error)
     try:

@@ -64,17 +64,16 @@ class Conversion:
     @property
     def words(self) -> str:
         """The conversion in one line, such as ``ACEScg (chromaticities) to sRGB``."""
-        if self.space is None:
-            start = "linear sRGB (the file names no color space)"
-        else:
+        start = "linear sRGB (the file names no color space)"
+        if self.space is not None:
             name = self.space if self.is_identity else self._spaces()[1]
             start = f"{name} ({self.source})"
+        if self.is_identity:
+            return f"{start} to sRGB"
         if self.view is None:
-            name, end = self._spaces()[0], "sRGB"
-        else:
-            name = config_name()
-            end = f"{self.view} of {_config(name).getDefaultDisplayName()}"
-        return f"{start} to {end}" + ("" if self.is_identity else f", by {name}")
+            return f"{start} to sRGB, by {self._spaces()[0]}"
+        display = _config(config_name()).getDefaultDisplayName()
+        return f"{start} to {self.view} of {display}, by {config_name()}"
 
     def light(
         self, image: Float[np.ndarray, "height width channels"]
