@@ -24,6 +24,12 @@ _OUTER = round(529829189 * 2**52 / 10**15)
 """52.9829189 / 10^8 in units of 2^-52; with four more bits in the other factor, of 2^-56."""
 
 
+_STEP_X, _STEP_Y = 97, 303
+"""Columns and rows by which the pattern moves from seed to seed. Interleaved gradient noise then
+changes at every pixel by nearly the golden ratio (0.613, 0.380 and 0.382 in its three planes), so
+that the values that a pixel takes in a few frames are spread evenly."""
+
+
 @register_record
 @dataclasses.dataclass(frozen=True)
 class Noise:
@@ -71,20 +77,25 @@ def _halton_block() -> np.ndarray:
     return points.reshape(_HALTON_BLOCK, _HALTON_BLOCK, 3).astype(np.float32)
 
 
-def _uniform(kind: NoiseKind, height: int, width: int) -> Float[Array, "{height} {width} 3"]:
+def _uniform(
+    kind: NoiseKind, height: int, width: int, seed: int
+) -> Float[Array, "{height} {width} 3"]:
     """Make three independent values in [0, 1) for every pixel."""
     if kind == "none":
         return jnp.full((height, width, 3), 0.5, jnp.float32)
     if kind == "halton":
-        repeats = (-(-height // _HALTON_BLOCK), -(-width // _HALTON_BLOCK), 1)
-        return jnp.tile(_halton_block(), repeats)[:height, :width]
+        rows = (np.arange(height) + seed * _STEP_Y % _HALTON_BLOCK) % _HALTON_BLOCK
+        columns = (np.arange(width) + seed * _STEP_X % _HALTON_BLOCK) % _HALTON_BLOCK
+        return jnp.asarray(_halton_block()[np.ix_(rows, columns)])
+    # The noise repeats after so many pixels.
     y, x = np.ogrid[:height, :width]
+    y, x = y + seed * _STEP_Y % _INNER_UNIT, x + seed * _STEP_X % _INNER_UNIT
     # Shifted copies of one pattern correlate (up to 0.7); rotated copies do not.
     planes = [interleaved_gradient(x, y), interleaved_gradient(y, x), interleaved_gradient(y, -x)]
     return jnp.stack(planes, axis=-1)
 
 
-def make_noise(kind: NoiseKind, height: int, width: int) -> Noise:
+def make_noise(kind: NoiseKind, height: int, width: int, seed: int = 0) -> Noise:
     """Make built-in noise of one kind.
 
     Args:
@@ -92,11 +103,13 @@ def make_noise(kind: NoiseKind, height: int, width: int) -> Noise:
             64 x 64 block) or ``none`` (all zero).
         height: rows.
         width: columns.
+        seed: moves the pattern, such as the number of a frame, so that it does not stand still over
+            a shot; 0 is the noise that filters make themselves.
 
     Returns:
         The noise, float32.
     """
-    uniform = _uniform(kind, height, width)
+    uniform = _uniform(kind, height, width, seed)
     return Noise(tap=2 * uniform[..., 0] - 1, tile=uniform[..., 1:] - 0.5)
 
 

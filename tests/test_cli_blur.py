@@ -140,6 +140,31 @@ def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
     assert "tile_choice" not in tomllib.loads(attributes(out)["jaxblur:settings"])
 
 
+@pytest.mark.parametrize(("quality", "samples"), [("preview", 15), ("final", 105)])
+def test_a_quality_is_a_number_of_samples(tmp_path, quality, samples):
+    channels = plain_frame((6, 8))
+    source = write_single(tmp_path / "in.exr", channels)
+    assert run("blur", source, "-o", tmp_path / "out.exr", "--quality", quality).status == 0
+    settings = tomllib.loads(attributes(tmp_path / "out.exr")["jaxblur:settings"])
+    assert settings["samples"] == samples and "seed" not in settings
+
+
+def test_a_seed_moves_the_noise_of_a_single_frame(tmp_path):
+    channels = plain_frame((24, 32))
+    for axis in "XY":
+        channels[f"velocity.{axis}"] *= 20
+    source = write_single(tmp_path / "in.0007.exr", channels)
+    outs = {seed: tmp_path / f"{seed}.exr" for seed in ("none", "0", "7", "frame")}
+    for seed, out in outs.items():
+        given = () if seed == "none" else ("--seed", seed)
+        assert run("blur", source, "-o", out, *FEW, *given).status == 0
+    images = {seed: exr.read_image(out) for seed, out in outs.items()}
+    np.testing.assert_array_equal(images["0"], images["none"])
+    np.testing.assert_array_equal(images["frame"], images["7"])
+    assert np.abs(images["7"] - images["0"]).max() > 0.01
+    assert tomllib.loads(attributes(outs["frame"])["jaxblur:settings"])["seed"] == 7
+
+
 def test_a_closed_shutter_gives_the_input_back(tmp_path):
     out = tmp_path / "out.exr"
     assert run("blur", CAR, "-o", out, *FEW, "--shutter", "0").status == 0
@@ -250,6 +275,9 @@ def test_an_input_is_never_overwritten(tmp_path, option):
         (("--filter", "pixel_velocity", "--param", "kappa=1"), ("it has none",)),
         (("--filter", "mcguire2012", "--samples", "14"), ("--samples must be odd", "use 15")),
         (("--samples", "0"), ("whole number from 1",)),
+        (("--samples", "9", "--quality", "final"), ("--quality: chooses", "leave out --samples")),
+        (("--quality", "best"), ("'preview', 'standard', 'final'",)),
+        (("--seed", "1.5"), ("frame or a whole number", "'1.5'")),
         (("--samples", "2"), ("--samples must be at least 3 for layered",)),
         (("--radius", "big"), ("whole number from 1",)),
         (("--border", "wrap"), ("'skip', 'clamp'",)),

@@ -149,7 +149,14 @@ def test_info_refuses_damaged_files(tmp_path):
 def test_vectors_finds_the_convention_of_a_rendered_pair():
     outcome = run("vectors", CUBE, "--next", CUBE_NEXT)
     assert outcome.status == 0
-    assert "best: forward = (-1 x, +1 y) in px over 1 frames" in outcome.out
+    words = "best: row 1; to the next frame a point moves -1 x to the right and +1 y down, in px"
+    assert words in outcome.out
+    (both,) = [line for line in outcome.out.splitlines() if "two vectors" in line]
+    first, second = both.removeprefix(
+        "preset blender has a row for each of its two vectors: "
+    ).split(" and ")
+    assert first == "ViewLayer.Vector.X, ViewLayer.Vector.Y to the previous frame"
+    assert second.startswith("ViewLayer.Vector.Z, ViewLayer.Vector.W to the next frame")
     assert outcome.out.rstrip().endswith("preset blender")
 
 
@@ -173,7 +180,8 @@ def test_vectors_works_on_channels_of_any_name(tmp_path):
     first = write_single(tmp_path / "1.exr", dict.fromkeys("RGB", now) | motion)
     second = write_single(tmp_path / "2.exr", dict.fromkeys("RGB", following))
     outcome = run("vectors", first, "--next", second, "--velocity-channels", "who.knows,what.this")
-    assert "best: forward = (+1 x, -1 y) in px over 1 frames" in outcome.out
+    assert "moves +1 x to the right and -1 y down, in px over 1 frames" in outcome.out
+    assert "two vectors" not in outcome.out
     assert "--velocity-channels" in refused("vectors", first, "--next", second)
 
 

@@ -62,10 +62,28 @@ def test_a_sequence_is_its_frames_blurred_one_by_one(shot):
     assert written(path) == all_names()
     for frame in FRAMES:
         alone = path / f"alone.{frame}.exr"
-        assert run("blur", path / f"in.{frame}.exr", "-o", alone, *FEW).status == 0
+        seed = ("--seed", "frame" if frame % 2 else frame)
+        assert run("blur", path / f"in.{frame}.exr", "-o", alone, *FEW, *seed).status == 0
         blurred = exr.read_image(path / f"out/a.{frame}.exr")
         np.testing.assert_array_equal(blurred, exr.read_image(alone))
         assert np.abs(blurred - exr.read_image(path / f"in.{frame}.exr")).max() > 0.01
+
+
+def test_the_noise_moves_with_the_frame(shot):
+    path, command = shot
+    for frame in FRAMES[1:]:
+        shutil.copy(path / "in.1001.exr", path / f"in.{frame}.exr")
+    assert run(*command).status == 0
+    images = [exr.read_image(path / f"out/a.{frame}.exr") for frame in FRAMES]
+    assert all(np.abs(images[0] - image).max() > 1e-3 for image in images[1:])
+    settings = tomllib.loads(header(path / "out/a.1003.exr")["jaxblur:settings"])
+    assert settings["seed"] == 1003
+    before = (path / "out/a.1003.exr").read_bytes()
+    assert run(*command, "--frames", "1003", "--overwrite").status == 0
+    assert (path / "out/a.1003.exr").read_bytes() == before
+    assert run(*command, "--seed", "5", "--overwrite").status == 0
+    images = [exr.read_image(path / f"out/a.{frame}.exr") for frame in FRAMES]
+    assert all(np.array_equal(images[0], image) for image in images[1:])
 
 
 def test_a_line_for_each_frame_and_remarks_once(shot):
@@ -118,7 +136,13 @@ def test_outputs_made_in_another_way_are_not_taken_for_its_own(shot, existing):
 
 @pytest.mark.parametrize(
     "change",
-    [("--shutter", ".25"), ("--drop-extra",), ("--fetch", "bilinear"), ("--cut", "1002")],
+    [
+        ("--shutter", ".25"),
+        ("--drop-extra",),
+        ("--fetch", "bilinear"),
+        ("--cut", "1002"),
+        ("--seed", "0"),
+    ],
     ids=lambda given: given[0],
 )
 def test_every_choice_counts(shot, change):

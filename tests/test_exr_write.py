@@ -1,5 +1,6 @@
 """Writing images: contents kept from the model file, and files that are complete or absent."""
 
+import dataclasses
 import os
 import re
 import stat
@@ -373,3 +374,65 @@ def test_an_existing_file_stays_if_it_must_not_be_replaced(tmp_path):
     assert path.read_bytes() == before
     exr.write_image(path, np.ones((2, 3, 3), np.float32))
     assert (exr.read_image(path) == 1).all()
+
+
+def mip_mapped(path):
+    """Write color, depth and vectors of 64x48 pixels with all smaller levels; return them."""
+    channels = plain_frame((48, 64))
+    spec = make_spec(channels, comment="kept")
+    spec.tile_width = spec.tile_height = 16
+    picture = oiio.ImageBuf(spec)
+    picture.set_pixels(oiio.ROI(0, 64, 0, 48), np.stack(list(channels.values()), axis=-1))
+    assert oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, picture, str(path))
+    return channels
+
+
+def test_a_mip_mapped_model_gives_its_first_level_without_the_others(tmp_path):
+    channels = mip_mapped(tmp_path / "in.exr")
+    info = exr.inspect(tmp_path / "in.exr")
+    assert info.parts[0].levels == 7
+    color = np.stack([channels[name] for name in "RGB"], axis=-1)
+    np.testing.assert_array_equal(exr.read_image(tmp_path / "in.exr"), color)
+    with pytest.warns(exr.JaxblurIOWarning, match=r"in.exr: its level 0 of 7 is used") as caught:
+        exr.write_image(tmp_path / "out.exr", color * 2, like=tmp_path / "in.exr")
+    assert len(caught) == 1
+    written = exr.inspect(tmp_path / "out.exr").parts[0]
+    assert written.levels == 1 and written.attributes["comment"] == "kept"
+    assert written.data_window == info.parts[0].data_window
+    np.testing.assert_array_equal(exr.read_image(tmp_path / "out.exr"), color * 2)
+    kept = exr.read_channels(tmp_path / "out.exr", ["Z", "velocity.X"])
+    np.testing.assert_array_equal(kept, np.stack([channels["Z"], channels["velocity.X"]], axis=-1))
+
+
+def test_compression_that_the_library_cannot_write_is_reported(tmp_path, monkeypatch):
+    source = write_single(tmp_path / "in.exr", plain_frame(), compression="piz")
+    writer = exr.write.writer
+
+    def without_piz(path, temporary, specs):
+        others = [oiio.ImageSpec(spec) for spec in specs]
+        for spec in others:
+            spec.attribute("compression", "zips")
+        return writer(path, temporary, others)
+
+    monkeypatch.setattr(exr.write, "writer", without_piz)
+    with pytest.warns(exr.JaxblurIOWarning, match=r"in.exr: part 0 is stored with zips, .* piz"):
+        exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
+
+
+def test_a_deep_part_beside_the_picture_is_dropped_or_refused(tmp_path, monkeypatch):
+    frame = plain_frame()
+    smoke = {"smoke.A": frame["R"], "smoke.Z": frame["Z"]}
+    parts = [(make_spec(frame, name="rgb"), frame), (make_spec(smoke, name="smoke"), smoke)]
+    source, describe = write_parts(tmp_path / "in.exr", parts), exr.files.describe
+
+    def with_a_deep_part(*arguments):
+        # OpenImageIO cannot write such a file for this test.
+        info = describe(*arguments)
+        flat, deep = info.parts
+        return dataclasses.replace(info, parts=(flat, dataclasses.replace(deep, deep=True)))
+
+    monkeypatch.setattr(exr.write, "describe", with_a_deep_part)
+    with pytest.raises(exr.JaxblurIOError, match=r"part 1 of .*in.exr is deep.*extra='drop'"):
+        exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
+    exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source, extra="drop")
+    assert exr.inspect(tmp_path / "out.exr").channel_names == ("R", "G", "B")

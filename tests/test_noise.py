@@ -62,6 +62,26 @@ def test_every_program_gives_the_same_noise_to_the_bit():
         np.testing.assert_array_equal(noise.tile, eager.tile, err_msg=name)
 
 
+@pytest.mark.parametrize("kind", ["ign", "halton"])
+def test_a_seed_moves_the_pattern(kind):
+    still, moved = make_noise(kind, 40, 150), make_noise(kind, 40 + 303, 150 + 97)
+    np.testing.assert_array_equal(make_noise(kind, 40, 150, 1).tap, moved.tap[303:, 97:])
+    np.testing.assert_array_equal(make_noise(kind, 40, 150, 1).tile, moved.tile[303:, 97:])
+    np.testing.assert_array_equal(make_noise(kind, 40, 150, 0).tap, still.tap)
+    for seed in (-7, 123457, 10**18 + 1):
+        other = make_noise(kind, 40, 150, seed).tap
+        assert -1 <= other.min() < -0.9 and 0.9 < other.max() < 1
+        assert np.mean(other == still.tap) < 0.1
+
+
+def test_the_values_of_a_pixel_are_spread_evenly_over_frames():
+    """Of eight frames one value lies in every quarter, nearly everywhere: at random 40 %."""
+    taps = np.stack([make_noise("ign", 50, 60, seed).tap for seed in range(1001, 1009)])
+    quarters = np.floor(2 * (taps + 1)).astype(int)
+    seen = np.stack([(quarters == quarter).any(axis=0) for quarter in range(4)])
+    assert seen.all(axis=0).mean() > 0.99
+
+
 def test_halton_starts_with_its_known_points():
     tap = make_noise("halton", 1, 4).tap
     np.testing.assert_allclose((tap[0] + 1) / 2, [0, 1 / 2, 1 / 4, 3 / 4])

@@ -74,6 +74,21 @@ def add_compute_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_view_option(parser: Any, what: str) -> None:
+    """Add the option for the view of what people look at.
+
+    Args:
+        parser: of a command, or a group of it.
+        what: what is shown in that view.
+    """
+    parser.add_argument(
+        "--view",
+        metavar="NAME",
+        help=f'show {what} in an OpenColorIO view, such as "ACES 2.0 - SDR 100 nits (Rec.709)", of '
+        "the configuration in $OCIO or the built-in one (default: plain sRGB, no tone curve)",
+    )
+
+
 _OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
 """Arguments of the library whose options have another name."""
 

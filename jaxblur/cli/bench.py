@@ -1,6 +1,7 @@
 """``jaxblur bench``: how long filters take and how wrong they are, on frames or scenes."""
 
 import argparse
+import dataclasses
 import logging
 import pathlib
 from collections.abc import Callable, Sequence
@@ -254,9 +255,13 @@ def _file_subject(
 ) -> Any:
     from jaxblur import bench
 
-    named = argparse.Namespace(**vars(arguments) | {"input": path, "truth": truth})
+    colors = {"color_space": None, "view": None, "png": False}
+    named = argparse.Namespace(**vars(arguments) | colors | {"input": path, "truth": truth})
     loaded = stages.load(named, Settings())
     buffers = loaded.buffers
+    if not loaded.colors.is_identity:
+        # Filters commute with the conversion, which is linear.
+        buffers = dataclasses.replace(buffers, color=loaded.colors.light(buffers.color))
     return bench.frame_subject(path.name, buffers.frame(), loaded.truth, arguments.shutter)
 
 

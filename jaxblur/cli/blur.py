@@ -3,6 +3,7 @@
 import argparse
 import logging
 import pathlib
+import re
 import time
 from typing import Any
 
@@ -12,6 +13,7 @@ from .arguments import (
     CommandError,
     add_command,
     add_compute_options,
+    add_view_option,
     check_outputs,
     describe_presets,
     file_path,
@@ -23,6 +25,8 @@ from .filtering import (
     CHOICES,
     add_filter_options,
     add_nonfinite_option,
+    add_quality_option,
+    add_seed_option,
     complete,
     describe_filters,
     report_ignored,
@@ -64,8 +68,11 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     results.add_option(parser)
+    _add_color_options(parser)
     add_compute_options(parser)
     group = add_filter_options(parser)
+    add_quality_option(group)
+    add_seed_option(group)
     group.add_argument(
         "--parameters",
         type=pathlib.Path,
@@ -81,6 +88,19 @@ def add_parser(commands: Any) -> None:
     )
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
+
+
+def _add_color_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "colors of previews, scores and reports; an EXR keeps its own"
+    )
+    add_view_option(group, "PNG, scores and --result")
+    group.add_argument(
+        "--color-space",
+        metavar="NAME",
+        help="color space of the frame and of a truth in EXR, such as ACEScg, where the files do "
+        "not name it or name a wrong one (default: as in the file, else linear sRGB)",
+    )
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -107,6 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.isolate and not isolation.in_child:
         return isolation.run(arguments)
     _check_plan(arguments)
+    _check_colors(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if sequence.is_asked_for(arguments):
@@ -119,12 +140,14 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     from jaxblur import exr
 
     arguments.in_sequence = False
+    if arguments.seed == "frame":
+        arguments.seed = _number_in(arguments.input)
     outputs = _outputs(arguments)
     for source in _sources(arguments):
         exr.inspect(source)
         for output in outputs:
             exr.refuse_overwrite(output, source)
-    stages.warn_of_double_blur(arguments.input)
+    stages.warn_of_double_blur(arguments)
     check_outputs(outputs, arguments.overwrite)
     started = time.perf_counter()
     loaded = stages.load(arguments, asked.settings)
@@ -132,12 +155,12 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     start_jax(not arguments.no_compile_cache)
     chosen = stages.choose(arguments, asked, loaded)
-    blurred = stages.blur(chosen, loaded)
+    blurred = stages.blur(chosen, loaded, arguments.seed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: blurred}
-    scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
+    scored = stages.scores_of(images, loaded)
     provenance = stages.provenance(arguments, chosen, loaded.buffers)
-    stages.write(arguments, outputs, blurred, provenance, loaded.states)
+    stages.write(arguments, outputs, blurred, provenance, loaded)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in outputs:
         print_line(f"{output}")
@@ -152,6 +175,14 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     return 0
 
 
+def _number_in(path: pathlib.Path) -> int:
+    """The number of a frame, which is the last one in its name, for ``--seed frame``."""
+    numbers = re.findall(r"\d+", path.stem)
+    if not numbers:
+        raise CommandError(f"--seed frame: {path.name} has no frame number; give a number.")
+    return int(numbers[-1])
+
+
 def _fitted(path: pathlib.Path | None) -> Any:
     if path is None:
         return None
@@ -161,7 +192,7 @@ def _fitted(path: pathlib.Path | None) -> Any:
 
 
 def _check_plan(arguments: argparse.Namespace) -> None:
-    names = ("filter", "samples", "radius", "spacing", "param", "parameters", *CHOICES)
+    names = ("filter", "samples", "quality", "radius", "spacing", "param", "parameters", *CHOICES)
     excluded = names if arguments.plan else ("tolerance", "budget")
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.
@@ -169,6 +200,23 @@ def _check_plan(arguments: argparse.Namespace) -> None:
             option = f"--{name.replace('_', '-')}"
             reason = "--plan auto chooses that" if arguments.plan else "only --plan auto takes it"
             raise CommandError(f"{option}: {reason}; leave out one of the two.")
+
+
+def _check_colors(arguments: argparse.Namespace) -> None:
+    """Reject colors that nothing would be shown in, or that the configuration lacks."""
+    if arguments.view is None and arguments.color_space is None:
+        return
+    from jaxblur import exr
+
+    exr.check_view(arguments.view)
+    exr.check_color_space(arguments.color_space)
+    png = arguments.png or arguments.output.suffix.lower() == ".png"
+    if not png and arguments.truth is None:
+        option = "--view" if arguments.view else "--color-space"
+        raise CommandError(
+            f"{option}: is for previews and scores, and an EXR keeps its colors; add --png or "
+            "--truth, or leave it out."
+        )
 
 
 def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:

@@ -15,6 +15,9 @@ from .console import print_line
 DEFAULT_FILTER = "layered"
 FITTED_FILTER = "guertin2014"
 """The filter that `jaxblur fit` fits by default."""
+QUALITIES = {"preview": 3 / 7, "standard": 1.0, "final": 3.0}
+"""Samples per pixel as multiples of the filter's default, 35: 15, 35 and 105, multiples of three
+and odd."""
 CHOICES = choices_of(GuertinSettings)
 """Settings with an option that takes one of some names."""
 
@@ -72,6 +75,49 @@ def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_F
             f"--{name.replace('_', '-')}", choices=options, help=f"{only}default {default}"
         )
     return group
+
+
+def add_quality_option(group: Any) -> None:
+    """Add the option that chooses the samples by name; `complete` reads it.
+
+    Args:
+        group: that `add_filter_options` returned.
+    """
+    counts = ", ".join(f"{name} {samples_of(35, name)}" for name in QUALITIES)
+    group.add_argument(
+        "--quality",
+        choices=tuple(QUALITIES),
+        help=f"samples per pixel by name: {counts} (default standard); more samples, less grain; "
+        "replaces --samples, which is rejected beside it",
+    )
+
+
+def add_seed_option(group: Any) -> None:
+    """Add the option that moves the noise.
+
+    Args:
+        group: of a parser.
+    """
+    group.add_argument(
+        "--seed",
+        type=_seed,
+        metavar="frame|N",
+        help="moves the dot pattern of the noise: by the number of the frame (the default for "
+        "sequences), or by any whole number; a single file uses 0 unless told otherwise",
+    )
+
+
+def samples_of(usual: int, quality: str) -> int:
+    """The samples per pixel that a quality stands for.
+
+    Args:
+        usual: samples of the filter by default.
+        quality: a key of `QUALITIES`.
+
+    Returns:
+        An odd number, as McGuire 2012 needs, if the usual number is odd.
+    """
+    return max(round(usual * QUALITIES[quality]), 1)
 
 
 def add_nonfinite_option(group: Any) -> None:
@@ -132,6 +178,10 @@ def complete(
     known = {field.name for field in dataclasses.fields(info.kind)}
     every = ("samples", "radius", "spacing", *CHOICES)
     given = {name: value for name in every if (value := getattr(arguments, name))}
+    if quality := getattr(arguments, "quality", None):
+        if "samples" in given:
+            raise CommandError("--quality: chooses the samples; leave out --samples, or --quality.")
+        given["samples"] = samples_of(info.settings.samples, quality)
     if unused := given.keys() - known:
         option = min(unused).replace("_", "-")
         raise CommandError(
@@ -237,7 +287,11 @@ def describe_filters() -> str:
 
 
 def apply_filter(
-    name: str, buffers: Any, parameters: Mapping[str, float], settings: Settings
+    name: str,
+    buffers: Any,
+    parameters: Mapping[str, float],
+    settings: Settings,
+    seed: int | None = None,
 ) -> Any:
     """Run a filter.
 
@@ -246,6 +300,7 @@ def apply_filter(
         buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
         parameters: by name; the others take their defaults.
         settings: how to run it; plain `Settings` will do for any filter.
+        seed: moves the built-in noise; None leaves it where it is.
 
     Returns:
         (H, W, C) NumPy array.
@@ -253,16 +308,34 @@ def apply_filter(
     import numpy as np
 
     from jaxblur.frame import Frame
+    from jaxblur.noise import make_noise
 
     info = filter_info(name)
     frame = buffers if isinstance(buffers, Frame) else buffers.frame()
     settings = checked_settings(settings, info.kind, info.name)
-    return np.asarray(info.call(frame, info.make_parameters(**parameters), settings=settings))
+    noise = None
+    if seed is not None and settings.noise != "none":
+        height, width = frame.depth.shape
+        noise = make_noise(settings.noise, height, width, seed)
+    values = info.make_parameters(**parameters)
+    return np.asarray(info.call(frame, values, settings=settings, noise=noise))
 
 
 def _radius(text: str) -> int | None:
     """Parse ``--radius``; 0 stands for auto."""
     return 0 if text == "auto" else positive_integer(text)
+
+
+def _seed(text: str) -> int | str:
+    """Parse ``--seed``: a whole number, or ``frame``.
+
+    Raises:
+        ArgumentTypeError: it is something else.
+    """
+    digits = text.removeprefix("-")
+    if text != "frame" and not (digits.isascii() and digits.isdigit()):
+        raise argparse.ArgumentTypeError(f"expected frame or a whole number, got {text!r}")
+    return text if text == "frame" else int(text)
 
 
 def _parameter(text: str) -> tuple[str, float]:

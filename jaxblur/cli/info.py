@@ -54,18 +54,42 @@ def run(arguments: argparse.Namespace) -> int:
     motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
     if arguments.json:
-        listing = {"path": info.path, "parts": [_as_json(part) for part in info.parts]}
+        listing: dict[str, Any] = {"path": info.path, "views": list(exr.views_of(info))}
+        listing["parts"] = [_as_json(part) for part in info.parts]
+        if picture["color"]["channels"]:
+            listing["shown_as"] = _shown_as(info, picture)
         print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
     else:
         print_line(info.path)
         _print_parts(info)
         _print_not_finite(bad)
         print_line()
+        if views := exr.views_of(info):
+            print_line(f"views: {', '.join(views)}; --layer chooses one, {views[0]} is the default")
         for what, found in picture.items():
             channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
-            print_line(f"{what}: {channels}")
+            print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
+        if picture["color"]["channels"]:
+            print_line(f"shown as: {_shown_as(info, picture)}")
         _print_motion(motion)
     return 0
+
+
+def _shown_as(info: Any, picture: dict[str, Any]) -> str:
+    """How previews convert the colors, or why they cannot."""
+    from jaxblur import exr
+
+    try:
+        return exr.conversion_of(info, picture["color"]["channels"][0]).words
+    except ValueError as error:
+        return f"unknown ({error})"
+
+
+def _borrowed(info: Any, arguments: argparse.Namespace, channels: Sequence[str]) -> str:
+    from jaxblur import exr
+
+    words = exr.borrowed_from(info, arguments.layer, channels) if channels else ""
+    return f" ({words})" if words else ""
 
 
 def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:
@@ -106,7 +130,8 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
         if arguments.preset != "auto" or arguments.velocity_channels:
             raise
         return {"preset": None, "reason": in_option_names(error.reason, vars(arguments))}
-    found = {"preset": guess.preset.name, "channels": guess.channels, "reason": guess.reason}
+    reason = guess.reason + _borrowed(info, arguments, guess.channels)
+    found = {"preset": guess.preset.name, "channels": guess.channels, "reason": reason}
     missing = _missing_option(guess.preset, arguments)
     if missing:
         return found | {"speeds": None, "needs": missing}
@@ -165,7 +190,7 @@ def _print_parts(info: Any) -> None:
                 part.name or "-",
                 _window(part.data_window),
                 _window(part.display_window),
-                part.compression + (", deep" if part.deep else ""),
+                _storage(part),
             )
             for index, part in enumerate(info.parts)
         ],
@@ -191,6 +216,13 @@ def _print_not_finite(bad: dict[str, int]) -> None:
         print_line()
         print_table(("channel", ">pixels with NaN or infinity"), list(bad.items()))
         print_line("`jaxblur blur` rejects them in channels that it uses, unless given --nonfinite")
+
+
+def _storage(part: Any) -> str:
+    levels = (", deep" if part.deep else "") + (
+        f", {part.levels} levels" if part.levels > 1 else ""
+    )
+    return part.compression + levels
 
 
 def _window(window: tuple[int, int, int, int]) -> str:

@@ -10,6 +10,7 @@ from jaxblur._util.atomic import replacing
 from .arguments import (
     CommandError,
     add_command,
+    add_view_option,
     check_folder,
     check_outputs,
     file_path,
@@ -35,6 +36,7 @@ def add_parser(commands: Any) -> None:
         "-o", "--output", type=file_path, required=True, metavar="OUT.html", help="page to write"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing page")
+    add_view_option(parser, "pictures, error maps and scores")
     parser.add_argument(
         "--max-megabytes",
         type=positive_number,
@@ -53,22 +55,32 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError(f"{output}: no folder {output.parent}; create it first.")
     check_folder(output.parent)
     check_outputs([output], arguments.overwrite)
-    write_page(arguments.input, output, arguments.max_megabytes)
+    write_page(arguments.input, output, arguments.max_megabytes, arguments.view)
     print_line(output)
     return 0
 
 
-def write_page(folder: pathlib.Path, output: pathlib.Path, max_megabytes: float = 20.0) -> None:
+def write_page(
+    folder: pathlib.Path,
+    output: pathlib.Path,
+    max_megabytes: float = 20.0,
+    view: str | None = None,
+) -> None:
     """Make the page of a result, whole or not at all, and log its warnings.
 
     Args:
         folder: with a result.
         output: HTML file to write.
         max_megabytes: largest size.
+        view: OpenColorIO view to show the pictures in.
     """
-    from jaxblur.report import build_page, read_result
+    from jaxblur.report import COLORS, build_page, in_view, read_result
 
-    page = build_page(read_result(folder), max_megabytes)
+    result = read_result(folder)
+    if view is not None:
+        result = in_view(result, view)
+        LOG.info("colors: %s", result.settings[COLORS])
+    page = build_page(result, max_megabytes)
     for warning in page.warnings:
         LOG.warning("%s", warning)
     with replacing(output) as temporary:

@@ -53,7 +53,7 @@ def make_shot(
     Args:
         name: of the shot.
         loaded: the frame.
-        blurred: (H, W, C) linear light.
+        blurred: (H, W, C) in the colors of the frame.
         method: name of the filter.
         settings: of the filter, parameters among them.
         sources: files by role, see `ROLES`.
@@ -68,8 +68,8 @@ def make_shot(
         name=name,
         truth=loaded.truth,
         pictures=[
-            Picture("input", loaded.buffers.color),
-            Picture(method, blurred, settings=settings, group=method),
+            Picture("input", loaded.colors.light(loaded.buffers.color)),
+            Picture(method, loaded.colors.light(blurred), settings=settings, group=method),
         ],
         hashes={path.name: sha256_of(path) for path in files},
     )
@@ -87,10 +87,27 @@ def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
         arguments: of the command.
         shots: as `make_shot` gives them.
     """
-    from jaxblur.report import write_result
+    from jaxblur.report import COLORS, VIEW, write_result
 
     title = f"{arguments.input.name} against {arguments.truth.name}"
-    write_result(arguments.result, title, shots, {"shutter": arguments.shutter})
+    settings = {"shutter": arguments.shutter, COLORS: _words(arguments)}
+    if arguments.view:
+        settings[VIEW] = arguments.view
+    write_result(arguments.result, title, shots, settings)
+
+
+def _words(arguments: argparse.Namespace) -> str:
+    """How colors are converted, for the page; of a sequence by its first frame."""
+    from jaxblur import exr
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    path = arguments.input
+    if has_frame_number(path):
+        names = parse_names(path)
+        path = names.path((arguments.frames or names.frames_on_disk())[0])
+    info = exr.inspect(path)
+    channel = exr.choose_color(info, arguments.layer, arguments.color_channels).channels[0]
+    return exr.conversion_of(info, channel, arguments.color_space, arguments.view).words
 
 
 def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Iterator[Any]:

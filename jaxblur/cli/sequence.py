@@ -22,6 +22,7 @@ from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
 from .filtering import find_filter
 from .progress import about_frame, frame_messages, progress
+from .recognition import settle_convention
 
 LOG = logging.getLogger("jaxblur")
 
@@ -36,7 +37,17 @@ NOT_A_CHOICE = frozenset(
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
-        *("allow_resize", "argv", "isolate", "memory", "time_limit", "fps", "require_motion"),
+        # The quality counts by its samples.
+        *(
+            "quality",
+            "allow_resize",
+            "argv",
+            "isolate",
+            "memory",
+            "time_limit",
+            "fps",
+            "require_motion",
+        ),
     }
 )
 
@@ -127,6 +138,10 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     from jaxblur.sequence import plan_jobs
 
     arguments.in_sequence = True
+    if arguments.seed is None:
+        # A pattern that stands still over a shot looks like dirt on the lens. The number of the
+        # frame alone decides, so that a frame is the same in every run and on every machine.
+        arguments.seed = "frame"
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
     sources, outputs = _names(arguments)
@@ -134,6 +149,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    settle_convention(arguments, sources)
     choices = _choices(arguments, asked)
     plan = plan_jobs(
         frames, sources, outputs, choices, overwrite=arguments.overwrite, cuts=arguments.cut
@@ -161,7 +177,7 @@ class FrameWork:
     def read(self, job: Any, _: None) -> stages.Loaded:
         """Read a frame and its truth."""
         with about_frame(job.frame):
-            stages.warn_of_double_blur(job.inputs["input"])
+            stages.warn_of_double_blur(self._at(job))
             return stages.load(self._at(job), self.asked.settings)
 
     def blur(self, job: Any, loaded: stages.Loaded) -> tuple[stages.Loaded, stages.Choice, Any]:
@@ -175,7 +191,7 @@ class FrameWork:
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
-                return loaded, chosen, stages.blur(chosen, loaded)
+                return loaded, chosen, stages.blur(chosen, loaded, self._at(job).seed)
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
         """Write a frame, and score it; returns the entries of the report."""
@@ -185,11 +201,11 @@ class FrameWork:
         with about_frame(job.frame):
             notes = stages.provenance(self._at(job), chosen, loaded.buffers) | job.marks
             notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
-            stages.write(self._at(job), job.outputs, image, notes, loaded.states)
+            stages.write(self._at(job), job.outputs, image, notes, loaded)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}
-            scored = {} if loaded.truth is None else stages.scores(images, loaded.truth)
+            scored = stages.scores_of(images, loaded)
         return {
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,
@@ -222,8 +238,10 @@ class FrameWork:
             self.devices.put(device)
 
     def _at(self, job: Any) -> argparse.Namespace:
-        inputs = {role: job.inputs.get(role) for role in _ROLES}
-        return argparse.Namespace(**vars(self.arguments) | inputs)
+        here: dict[str, Any] = {role: job.inputs.get(role) for role in _ROLES}
+        if self.arguments.seed == "frame":
+            here["seed"] = job.frame
+        return argparse.Namespace(**vars(self.arguments) | here)
 
 
 _ROLES = ("input", "velocity_from", "depth_from", "truth")

@@ -21,7 +21,8 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
         type=preset_name,
         default="auto",
         metavar="NAME",
-        help="convention of the vectors (default auto: by channel names)",
+        help="convention of the vectors (default auto: by channel names; `blur` on a sequence also "
+        "compares two frames, where names settle nothing)",
     )
     group.add_argument(
         "--velocity-channels",
@@ -36,7 +37,7 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
     )
     add_fps(group)
     add_max_displace(group)
-    group.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
+    group.add_argument("--layer", metavar="NAME", help="view layer, stereo view or part to look in")
 
 
 def add_max_displace(parser: Any) -> None:

@@ -26,6 +26,8 @@ STILL = 0.5
 """Half-spread in pixels that no filter blurs."""
 PASSED_THROUGH = "none"
 """In the place of the filter's name for a frame that was not blurred."""
+BLURRED = "jaxblur:blurred"
+"""Header attribute: the color channels that were blurred, by this and by earlier runs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Loaded:
 
     Attributes:
         buffers: as `jaxblur.exr.read_buffers` gives them.
-        truth: (H, W, C) linear light, or None.
+        truth: (H, W, C) linear light that a screen shows, or None.
+        colors: a `jaxblur.exr.Conversion` of the frame's colors to such light.
         speeds: a `jaxblur.vectors.SpeedStatistics`.
         mean_speed: mean half-spread in pixels.
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
@@ -57,6 +60,7 @@ class Loaded:
 
     buffers: Any
     truth: Any
+    colors: Any
     speeds: Any
     mean_speed: float
     states: Any
@@ -105,6 +109,7 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     return Loaded(
         buffers,
         truth,
+        _colors(arguments, arguments.input, buffers.color_channels[0]),
         speeds,
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         states,
@@ -174,12 +179,13 @@ def passed_through(asked: Choice) -> Choice:
     return Choice(PASSED_THROUGH, {}, settings)
 
 
-def blur(chosen: Choice, loaded: Loaded) -> Any:
+def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     """Run the filter; a frame that is passed through is filtered as if nothing moved.
 
     Args:
         chosen: what is to be run.
         loaded: the frame.
+        seed: moves the noise; None leaves it where it is.
 
     Returns:
         (H, W, C) NumPy array.
@@ -191,7 +197,23 @@ def blur(chosen: Choice, loaded: Loaded) -> Any:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
-    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings)
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed)
+
+
+def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
+    """Score images in the colors of a frame against its truth, as a screen shows them.
+
+    Args:
+        images: (H, W, C) colors of the frame by name.
+        loaded: the frame.
+
+    Returns:
+        `jaxblur.metrics.Scores` by name; empty without a truth.
+    """
+    if loaded.truth is None:
+        return {}
+    shown = {name: loaded.colors.light(image) for name, image in images.items()}
+    return scores(shown, loaded.truth)
 
 
 def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
@@ -225,7 +247,7 @@ def write(
     outputs: Sequence[pathlib.Path],
     image: Any,
     provenance: Mapping[str, str],
-    states: Any,
+    loaded: Loaded,
 ) -> None:
     """Write an image to every output of a frame.
 
@@ -234,7 +256,7 @@ def write(
         outputs: ``.exr`` and ``.png`` files.
         image: (H, W, C) linear light.
         provenance: metadata to add.
-        states: of the inputs, as in `Loaded`.
+        loaded: the frame that it was made of.
 
     Raises:
         JaxblurIOError: the file cannot be written, it cannot hold such values, or an input has
@@ -242,8 +264,15 @@ def write(
     """
     from jaxblur import exr
 
+    colors = loaded.colors
     from_exr = arguments.input.suffix.lower() == ".exr"
     for output in outputs:
+        if output.suffix.lower() == ".png":
+            words = {} if colors.is_identity else {exr.COLORS: colors.words}
+            shown, notes = colors.light(image), dict(provenance) | words
+            exr.write_image(output, shown, attributes=notes, unchanged=loaded.states)
+            LOG.info(".png: %s", PNG_TRANSFORM)
+            continue
         exr.write_image(
             output,
             image,
@@ -253,10 +282,8 @@ def write(
             layer=arguments.layer,
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
-            unchanged=states,
+            unchanged=loaded.states,
         )
-        if output.suffix.lower() == ".png":
-            LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
 
 
 def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
@@ -267,24 +294,46 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
         "depth": buffers.depth_kind,
         "sky": arguments.sky,
     }
+    if arguments.seed is not None:
+        used["seed"] = arguments.seed
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    now = set() if chosen.name == PASSED_THROUGH else set(buffers.color_channels)
     return {
         "jaxblur:version": jaxblur.__version__,
         "jaxblur:filter": chosen.name,
         "jaxblur:parameters": _toml(chosen.parameters),
         "jaxblur:settings": _toml(used),
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
+        BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
     }
 
 
-def warn_of_double_blur(path: pathlib.Path) -> None:
-    """Warn if a frame was blurred before."""
+def warn_of_double_blur(arguments: argparse.Namespace) -> None:
+    """Warn if the color of a frame was blurred before; other views and layers do not count."""
     from jaxblur import exr
 
-    earlier = [part.attributes.get("jaxblur:filter") for part in exr.inspect(path).parts]
-    for name in earlier:
-        if name is not None and name != PASSED_THROUGH:
-            LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+    path = arguments.input
+    found = exr.choose_color(exr.inspect(path), arguments.layer, arguments.color_channels)
+    earlier = _blurred_before(path)
+    for name in dict.fromkeys(earlier[name] for name in found.channels if name in earlier):
+        LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+
+
+def _blurred_before(path: pathlib.Path) -> dict[str, str]:
+    """The channels of a frame that were blurred before, and the filter recorded for their part."""
+    from jaxblur import exr
+
+    blurred: dict[str, str] = {}
+    info = exr.inspect(path)
+    for part in info.parts:
+        notes = part.attributes
+        recorded = str(notes.get(BLURRED, "")).split(", ")
+        names = [name for name in recorded if name in info.channel_names]
+        if not names and notes.get("jaxblur:filter", PASSED_THROUGH) != PASSED_THROUGH:
+            # Names change if parts are dropped, and older versions recorded none.
+            names = [channel.name for channel in part.channels]
+        blurred |= dict.fromkeys(names, str(notes.get("jaxblur:filter")))
+    return blurred
 
 
 def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
@@ -292,14 +341,30 @@ def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
 
     if arguments.truth is None:
         return None
+    info = exr.inspect(arguments.truth)
+    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
     truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    colors = exr.conversion_of(info, channel, arguments.color_space, arguments.view)
+    if not colors.is_identity:
+        LOG.info("colors of the truth: %s", colors.words)
     if truth.shape[:2] != shape[:2]:
         (rows, columns), (height, width) = truth.shape[:2], shape[:2]
         raise CommandError(
             f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
             f"{width}x{height}; render both with the same data window."
         )
-    return truth
+    return colors.light(truth)
+
+
+def _colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str) -> Any:
+    """How the colors of a frame are shown; said in one line if they are shown and converted."""
+    from jaxblur import exr
+
+    colors = exr.conversion_of(exr.inspect(path), channel, arguments.color_space, arguments.view)
+    png = arguments.png or arguments.output.suffix.lower() == ".png"
+    if not colors.is_identity and (png or arguments.truth):
+        LOG.info("colors: %s", colors.words)
+    return colors
 
 
 def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:

@@ -31,7 +31,8 @@ def add_parser(commands: Any) -> None:
     )
     parser.epilog = (
         "Exit status 1: inconclusive; no candidate brings the frames together, or several do so "
-        "equally well."
+        "equally well. Units: px is pixels, uv fractions of the picture, ndc -1 to 1 over it, "
+        "displace -1 to 1 over --max-displace. The span is the time in frames that vectors cover."
     )
     parser.add_argument("file", type=file_path, help="frame with motion vectors")
     parser.add_argument(
@@ -60,15 +61,22 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Rank the conventions of one pair of frames; see `add_parser`."""
     ranking = _rank(arguments)
-    explained = ranking.candidates[0].error <= EXPLAINED * ranking.still_error
+    explained = is_explained(ranking)
     undecided = ranking.undecided
     if arguments.json:
         print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
     else:
         _print_ranking(ranking, arguments.top, explained)
         if explained and not undecided and ranking.candidates[0].presets:
+            if both := _both_sides(arguments, ranking.candidates[0]):
+                print_line(both)
             print_line(f"to blur: {_command(arguments, ranking.candidates[0])}")
     return 0 if explained and not undecided else 1
+
+
+def is_explained(ranking: Any) -> bool:
+    """Whether the best candidate of a `jaxblur.vectors.Ranking` brings the frames together."""
+    return ranking.candidates[0].error <= EXPLAINED * ranking.still_error
 
 
 def _rank(arguments: argparse.Namespace) -> Any:
@@ -122,6 +130,25 @@ def _size(image: Any) -> str:
     return f"{width}x{height} pixels and {channels} channels"
 
 
+def _both_sides(arguments: argparse.Namespace, best: Any) -> str:
+    """Why two rows name one preset, if it has vectors to both sides; else nothing."""
+    from jaxblur import exr
+
+    name = best.presets[0]
+    try:
+        found = exr.choose_vectors(exr.inspect(arguments.file), name, arguments.layer)
+    except exr.JaxblurIOError:
+        return ""
+    if len(found.layout) < 2 or not set(best.channels) <= set(found.channels):
+        return ""
+    sides = {-1: "previous", 1: "next"}
+    each = " and ".join(
+        f"{', '.join(found.channels[2 * index : 2 * index + 2])} to the {sides[pair.time]} frame"
+        for index, pair in enumerate(found.layout)
+    )
+    return f"preset {name} has a row for each of its two vectors: {each}; both are used."
+
+
 def _command(arguments: argparse.Namespace, best: Any) -> str:
     """The command line that follows from the best candidate."""
     from jaxblur import exr, vectors
@@ -147,14 +174,16 @@ def _command(arguments: argparse.Namespace, best: Any) -> str:
 def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
     best = ranking.candidates[0]
     print_line(f"{100 * ranking.moving_share:.1f} % of the pixels move")
+    print_line("Each row is a way to read two channels as the motion to the next frame:")
+    print_line("right = sign * (x - offset) and down = sign * (y - offset), in its unit and span.")
     print_table(
-        (">", "channels", ">x", ">y", "unit", ">offset", ">span", ">error", "presets"),
+        (">", "x, y", ">right", ">down", "unit", ">offset", ">span", ">error", "presets"),
         [
             (
                 index,
                 ", ".join(candidate.channels),
-                f"{candidate.sign_x:+d}",
-                f"{candidate.sign_y:+d}",
+                f"{candidate.sign_x:+d} x",
+                f"{candidate.sign_y:+d} y",
                 candidate.unit,
                 f"{candidate.offset:g}",
                 f"{candidate.span:g}",
@@ -172,8 +201,9 @@ def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
         )
     elif explained:
         print_line(
-            f"best: forward = ({best.sign_x:+d} x, {best.sign_y:+d} y) in {best.unit} over "
-            f"{best.span:g} frames, y down; preset {' or '.join(best.presets) or 'unknown'}"
+            f"best: row 1; to the next frame a point moves {best.sign_x:+d} x to the right and "
+            f"{best.sign_y:+d} y down, in {best.unit} over {best.span:g} frames; preset "
+            f"{' or '.join(best.presets) or 'unknown'}"
         )
     else:
         print_line(

@@ -18,15 +18,25 @@ appear under their name only when they are complete. `inspect` lists the content
 and listing do not load jax; only `read_frame` does, at its end.
 
 Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
-and, where there is alpha, premultiplied; it is neither clipped nor converted.
+and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
+`conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.
 """
 
 from .._util.errors import JaxblurIOError as JaxblurIOError
 from .choose import (
     ColorGroup as ColorGroup,
+    borrowed_from as borrowed_from,
     choose_color as choose_color,
     choose_depth as choose_depth,
     choose_vectors as choose_vectors,
+    views_of as views_of,
+)
+from .color import (
+    COLORS as COLORS,
+    Conversion as Conversion,
+    check_color_space as check_color_space,
+    check_view as check_view,
+    conversion_of as conversion_of,
 )
 from .files import (
     Channel as Channel,

@@ -1,7 +1,7 @@
 """Choose the color, depth and vector channels of a file by their names."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError
@@ -27,7 +27,8 @@ class ColorGroup:
     """The color channels of a file.
 
     Attributes:
-        prefix: part of the name before the component, with its dot; empty at the root.
+        prefix: part of the name before the component, with its dot and without a view of
+            single-part stereo; empty at the root.
         channels: full names in the order R, G, B, A or Y, A, or as given.
         alpha: full name of the alpha channel, or None.
     """
@@ -37,26 +38,95 @@ class ColorGroup:
     alpha: str | None
 
 
-def names_in_layer(info: FileInfo, layer: str | None) -> tuple[str, ...]:
-    """List the channels of a layer, or all of them.
+def views_of(info: FileInfo) -> tuple[str, ...]:
+    """List the views of single-part stereo, the default view first.
+
+    Args:
+        info: listing of the file.
+
+    Returns:
+        Names from the attribute ``multiView``; empty if the file has none.
+    """
+    found = info.parts[0].attributes.get("multiView", ()) if len(info.parts) == 1 else ()
+    names = (found,) if isinstance(found, str) else found
+    return tuple(map(str, names)) if isinstance(names, tuple) else ()
+
+
+def borrowed_from(info: FileInfo, layer: str | None, names: Sequence[str]) -> str:
+    """Say in words that a view has no such channels of its own.
+
+    Args:
+        info: listing of the file.
+        layer: view that was asked for.
+        names: channels that were chosen for it.
+
+    Returns:
+        Half a sentence, or nothing if the channels are those of the view.
+    """
+    views = views_of(info)
+    if layer not in views or all(_view(name, views) == layer for name in names):
+        return ""
+    default = views[0]
+    if layer == default and not any(_view(name, views) for name in names):
+        return ""
+    return f"view {layer} has none of its own, so {', '.join(names)} of view {default} is used"
+
+
+def _view(name: str, views: Sequence[str]) -> str:
+    """Return the view of a channel, empty if it belongs to none in particular.
+
+    Source: the rules of OpenEXR's ImfMultiView: the view stands before the component, and channels
+    without any layer belong to the default view. Here the view may stand anywhere before the
+    component, since not every program that writes such files keeps to the rules.
+    """
+    layers = name.split(".")[:-1]
+    if not layers:
+        return views[0]
+    return next((view for view in reversed(layers) if view in views), "")
+
+
+def _scope(info: FileInfo, layer: str | None, shared: bool = False) -> dict[str, str]:
+    """List the channels of a layer or view, or all of them.
 
     Args:
         info: listing of the file.
         layer: view layer, view or part; it may stand anywhere in the dotted name.
+        shared: the channels of the default view, for a view that lacks some.
 
     Returns:
-        Full names.
+        Full names by the names without the view. Without a view or for the default view, channels
+        of other views are left out.
 
     Raises:
         JaxblurIOError: the file has no such layer.
     """
-    if layer is None:
-        return info.channel_names
-    names = tuple(name for name in info.channel_names if f".{layer}." in f".{name}")
-    if not names:
-        listing = vectors.describe_names(info.channel_names)
+    views, names = views_of(info), info.channel_names
+    plain = {name: name for name in names}
+    if views:
+        wanted = layer if layer in views and not shared else views[0]
+        allowed = (wanted, "") if wanted == views[0] else (wanted,)
+        plain = {
+            _without_view(name, views): name for name in names if _view(name, views) in allowed
+        }
+    if layer is not None and layer not in views:
+        plain = {short: name for short, name in plain.items() if f".{layer}." in f".{short}"}
+    if not plain:
+        listing = vectors.describe_names(names)
         raise JaxblurIOError(info.path, f"no layer {layer!r}; the file holds {listing}.")
-    return names
+    return plain
+
+
+def _without_view(name: str, views: Sequence[str]) -> str:
+    *layers, component = name.split(".")
+    view = _view(name, views)
+    return ".".join((*(layer for layer in layers if layer != view), component))
+
+
+def _scopes(info: FileInfo, layer: str | None) -> list[dict[str, str]]:
+    """List where data of a view may be: among its own channels, else in the default view."""
+    views = views_of(info)
+    own = _scope(info, layer)
+    return [own, _scope(info, layer, shared=True)] if layer in views[1:] else [own]
 
 
 def choose_color(
@@ -79,14 +149,14 @@ def choose_color(
         names = tuple(info.channel(name).name for name in color_channels)
         alpha = next((name for name in names if _component(name) == "A"), None)
         return ColorGroup(names[0].rpartition(".")[0], names, alpha)
-    names = names_in_layer(info, layer)
-    groups = _color_groups(names)
+    scope = _scope(info, layer)
+    groups = _color_groups(scope)
     for wanted in COLOR_LAYERS:
         found = [group for group in groups if _layer_name(group.prefix) == wanted]
         if found:
             return _single(info, found)
     if not groups:
-        listing = vectors.describe_names(names)
+        listing = vectors.describe_names(tuple(scope.values()))
         raise JaxblurIOError(
             info.path, f"no color (R, G, B or Y) among {listing}; give `color_channels`."
         )
@@ -127,12 +197,29 @@ def choose_vectors(
                     "with `preset`."
                 )
             return vectors.assign_channels(preset, names)
-        names = names_in_layer(info, layer)
-        if preset == "auto":
-            return vectors.guess_preset(names)
-        return vectors.match_preset(preset, names)
+        return _choose_vectors(_scopes(info, layer), preset)
     except ValueError as error:
         raise JaxblurIOError(info.path, str(error)) from error
+
+
+def _choose_vectors(scopes: Sequence[dict[str, str]], preset: str) -> vectors.Guess:
+    """Find the vectors in the first scope that has any; the names of channels become full."""
+    for position, scope in enumerate(scopes):
+        try:
+            names = tuple(scope)
+            guess = (
+                vectors.guess_preset(names)
+                if preset == "auto"
+                else vectors.match_preset(preset, names)
+            )
+        except vectors.NoVectorsError:
+            if position == len(scopes) - 1:
+                raise
+            continue
+        full = tuple(scope[name] for name in guess.channels)
+        reason = guess.reason.replace(", ".join(guess.channels), ", ".join(full))
+        return dataclasses.replace(guess, channels=full, reason=reason)
+    raise vectors.NoVectorsError("no channels.")
 
 
 def choose_depth(
@@ -159,11 +246,15 @@ def choose_depth(
     """
     if depth_channel is not None:
         return info.channel(depth_channel).name
-    names = [name for name in names_in_layer(info, layer) if name not in taken]
-    roots = {prefix + z for prefix in ("", color_prefix) for z in ROOT_DEPTH}
-    candidates = [vectors.find_channels(pattern, names) for pattern in DEPTH_PATTERNS]
-    candidates.append([name for name in names if name in roots])
-    found = next((group for group in candidates if group), [])
+    found: list[str] = []
+    for scope in _scopes(info, layer):
+        names = {short: name for short, name in scope.items() if name not in taken}
+        roots = {prefix + z for prefix in ("", color_prefix) for z in ROOT_DEPTH}
+        candidates = [vectors.find_channels(pattern, list(names)) for pattern in DEPTH_PATTERNS]
+        candidates.append([name for name in names if name in roots])
+        found = [names[name] for name in next((group for group in candidates if group), [])]
+        if found:
+            break
     if len(found) == 1:
         return found[0]
     if found:
@@ -172,7 +263,7 @@ def choose_depth(
         )
     raise JaxblurIOError(
         info.path,
-        f"no depth channel among {vectors.describe_names(names)}; give `depth_channel` or "
+        f"no depth channel among {_listing(info, layer, taken)}; give `depth_channel` or "
         "`depth_from`, or depth='flat' to blur without occlusion.",
     )
 
@@ -199,13 +290,25 @@ def _layer_name(prefix: str) -> str:
     return prefix.rstrip(".").rpartition(".")[2].lower()
 
 
-def _color_groups(names: Sequence[str]) -> list[ColorGroup]:
-    """Group R, G, B and Y channels by layer, leaving out known motion vectors."""
+def _listing(info: FileInfo, layer: str | None, taken: Sequence[str]) -> str:
+    names = [name for name in _scope(info, layer).values() if name not in taken]
+    return vectors.describe_names(names)
+
+
+def _color_groups(names: Mapping[str, str]) -> list[ColorGroup]:
+    """Group R, G, B and Y channels by layer, leaving out known motion vectors.
+
+    Args:
+        names: full names by the names to group.
+
+    Returns:
+        Groups with full names.
+    """
     layers: dict[str, dict[str, str]] = {}
-    for name in names:
+    for name, full in names.items():
         if _component(name) in ("R", "G", "B", "A", "Y"):
             prefix = name[: len(name) - len(name.rpartition(".")[2])]
-            layers.setdefault(prefix, {})[_component(name)] = name
+            layers.setdefault(prefix, {})[_component(name)] = full
     groups = []
     for prefix, found in layers.items():
         members = next((m for m in ("RGB", "Y") if set(m) <= set(found)), None)

@@ -61,6 +61,7 @@ class Part:
         display_window: (x, y, width, height) of the full picture.
         compression: scheme as the file names it, "none" if it names none.
         deep: whether pixels hold several samples each.
+        levels: number of resolutions: 1, or more if mip-mapped; pixels are those of the first.
         attributes: metadata, values as OpenImageIO gives them; bytes of unknown types as a tuple.
     """
 
@@ -70,6 +71,7 @@ class Part:
     display_window: tuple[int, int, int, int]
     compression: str
     deep: bool
+    levels: int
     attributes: dict[str, Any]
 
 
@@ -449,12 +451,17 @@ def _describe_part(spec: Any, index: int) -> Part:
         display_window=(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
         compression=str(attributes.get("compression", "none")),
         deep=bool(spec.deep),
+        levels=_levels(attributes.get("oiio:miplevels", 1)),
         attributes=attributes,
     )
 
 
 def _attributes(spec: Any) -> dict[str, Any]:
     return {_printable(a.name): _plain(a.value) for a in spec.extra_attribs}
+
+
+def _levels(count: Any) -> int:
+    return count if isinstance(count, int) and count > 1 else 1
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,16 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
 
 from .checks import check_speed, refuse, refuse_or_zero, warn_lossy, without_depth
-from .choose import ColorGroup, choose_color, choose_depth, choose_vectors, is_depth
+from .choose import (
+    ColorGroup,
+    borrowed_from,
+    choose_color,
+    choose_depth,
+    choose_vectors,
+    is_depth,
+    views_of,
+)
+from .color import INTEGERS
 from .files import (
     FileInfo,
     JaxblurIOWarning,
@@ -145,7 +154,8 @@ def read_buffers(
         file_shutter: exposure of the render that wrote the vectors, frames; only for presets
             that span the shutter.
         max_displace: displacement in pixels of a full-range vector; only for presets scaled by it.
-        layer: view layer, view or part to search.
+        layer: view layer, view or part to search. A view of single-part stereo that lacks vectors
+            or depth of its own takes those of the default view, with a warning.
         color_channels: full names of the color channels.
         velocity_channels: full names of the vector channels, x and y of each pair.
         depth_channel: full name of the depth channel.
@@ -167,7 +177,10 @@ def read_buffers(
     color, unknown = _read_color(info, group, nonfinite)
 
     vector_info = inspect(velocity_from) if velocity_from else info
-    guess = choose_vectors(vector_info, preset, None if velocity_from else layer, velocity_channels)
+    vector_layer = _layer_in(vector_info, layer, velocity_from)
+    guess = choose_vectors(vector_info, preset, vector_layer, velocity_channels)
+    if velocity_channels is None:
+        _warn_borrowed(vector_info, vector_layer, "vectors", guess.channels)
     raw, still = _read_vectors(vector_info, guess.channels, info, group, nonfinite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     scale = {"max_displace": max_displace, "file_shutter": file_shutter}
@@ -181,9 +194,10 @@ def read_buffers(
     else:
         depth_info = inspect(depth_from) if depth_from else info
         taken = guess.channels if depth_info.path == vector_info.path else ()
-        channel = choose_depth(
-            depth_info, None if depth_from else layer, depth_channel, group.prefix, taken
-        )
+        depth_layer = _layer_in(depth_info, layer, depth_from)
+        channel = choose_depth(depth_info, depth_layer, depth_channel, group.prefix, taken)
+        if depth_channel is None:
+            _warn_borrowed(depth_info, depth_layer, "depth", [channel])
         kind = _depth_kind(depth, guess, channel, path)
         distance, lost = _read_distance(depth_info, channel, kind, info, group, nonfinite)
     return Buffers(
@@ -303,11 +317,21 @@ def _check_arguments(preset: str, shutter: float, depth: str, nonfinite: str) ->
     check_policy(nonfinite, "keep")
 
 
+def _layer_in(info: FileInfo, layer: str | None, given: PathLike | None) -> str | None:
+    """Return the layer to search; a file of its own has another one, unless it has that view."""
+    return None if given and layer not in views_of(info) else layer
+
+
+def _warn_borrowed(info: FileInfo, layer: str | None, what: str, names: Sequence[str]) -> None:
+    if words := borrowed_from(info, layer, names):
+        warnings.warn(f"{info.path}: {what}: {words}.", JaxblurIOWarning, stacklevel=3)
+
+
 def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.ndarray, np.ndarray]:
     """Read the color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
     color = read_channels(info.path, group.channels)
     for index, name in enumerate(group.channels):
-        if info.channel(name).type in ("uint8", "uint16") and name != group.alpha:
+        if info.channel(name).type in INTEGERS and name != group.alpha:
             color[..., index] = srgb.decode(color[..., index])
     return refuse_or_zero(info.path, group.channels, color, nonfinite)
 

@@ -17,11 +17,13 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import printable
 
 from .choose import choose_color, is_depth
+from .color import COLORS, Conversion, check_color_space, check_view, conversion_of
 from .files import (
     FileInfo,
     FileStates,
     JaxblurIOWarning,
     describe,
+    inspect,
     open_input,
     pending_message,
     read_span,
@@ -33,9 +35,15 @@ if TYPE_CHECKING:
     from jaxblur.frame import Frame
 
 HALF_MAX = 65504.0
-LOSSLESS = ("none", "rle", "zip", "zips", "piz", "htj2k", "htj2k32", "htj2k256")
+LOSSLESS = ("none", "rle", "zip", "zips", "piz", "zstd", "htj2k", "htj2k32", "htj2k256")
 # Schemes that treat a 32-bit integer and a 32-bit float alike, see `relabel_as_uint`.
 TYPE_BLIND = ("none", "rle", "zip", "zips", "piz")
+# These attributes describe how the model is stored, which may change here; with `textureformat` the
+# writer would expect all levels of a mip-mapped picture.
+STORAGE = (
+    *("openexr:chunkCount", "openexr:levelmode", "openexr:roundingmode", "oiio:miplevels"),
+    *("textureformat", "openexr:dwaCompressionLevel"),
+)
 COLOR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 
@@ -52,13 +60,17 @@ def write_image(
     overwrite: bool = True,
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
+    color_space: str | None = None,
+    view: str | None = None,
 ) -> None:
     """Write an image, alone or in place of the color of another file.
 
     The file appears under its name only when it is complete. With ``like``, windows, metadata,
     timecode, channel names and types are those of that file, and all its other channels and parts
     are copied bit for bit; its compression is kept if it is lossless and replaced by zip otherwise.
-    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1.
+    Of a mip-mapped file level 0 is written, and a warning says so.
+    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1, converted from the color
+    space of ``like`` (`jaxblur.exr.conversion_of`); its text ``jaxblur:colors`` says how.
 
     Args:
         path: ``.exr`` or ``.png`` to write.
@@ -75,6 +87,9 @@ def write_image(
             both give a warning.
         unchanged: states of the files that the image was made from, recorded before they were
             read; if one has changed when the new file is complete, that does not appear.
+        color_space: color space of the image, for ``.png``; that of ``like`` if None.
+        view: OpenColorIO view for ``.png``, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB
+            if None.
 
     Raises:
         JaxblurIOError: the image is not finite, sizes or channel counts differ, ``path`` is
@@ -92,7 +107,10 @@ def write_image(
     last_check = unchanged.check if unchanged is not None else None
     kind = pathlib.Path(path).suffix.lower()
     if kind == ".png":
-        _write_png(path, pixels, attributes, last_check)
+        colors = _colors(like, layer, color_channels, color_space, view)
+        if not colors.is_identity:
+            attributes = {**(attributes or {}), COLORS: colors.words}
+        _write_png(path, colors.light(pixels), attributes, last_check)
     elif kind != ".exr":
         raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
     elif like is None:
@@ -105,6 +123,7 @@ def write_image(
             info = describe(source, like)
             names = choose_color(info, layer, color_channels).channels
             _check_model(path, pixels, info, names)
+            _refuse_deep(path, info, extra)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
             with replacing(path, last_check) as temporary:
                 _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
@@ -265,8 +284,7 @@ def _plan_part(
     scheme = part.compression.partition(":")[0]
     allowed = TYPE_BLIND if uint else LOSSLESS
     header.attribute("compression", scheme if scheme in allowed else "zip")
-    # These attributes describe how the model is stored, which may change here.
-    for name in ("openexr:chunkCount", "openexr:levelmode", "openexr:dwaCompressionLevel"):
+    for name in STORAGE:
         header.erase_attribute(name)
     half = tuple(position for position, _ in replaced if kinds[position] == "half")
     return _Plan(index, header, tuple(c.index for c in kept), replaced, half, uint)
@@ -294,10 +312,33 @@ def _write_parts(
             else:
                 source.seek_subimage(plan.part, 0)
                 _copy_part(path, source, info, output)
+    _report_storage(info, temporary, plans)
     for position, plan in enumerate(plans):
         if plan.uint:
             names = [plan.spec.channelnames[index] for index in plan.uint]
             relabel_as_uint(temporary, position, names)
+
+
+def _report_storage(info: FileInfo, temporary: str, plans: list[_Plan]) -> None:
+    """Say where the file is stored in another way than its model: levels and compression."""
+    levels = {info.parts[plan.part].levels for plan in plans}
+    changes = []
+    if max(levels) > 1:
+        changes.append(f"its level 0 of {max(levels)} is used, and written without the others")
+    for plan, written in zip(plans, inspect(temporary).parts, strict=True):
+        # What the header asks for is lossless; OpenImageIO falls back to zip in silence.
+        wanted = str(plan.spec["compression"])
+        if written.compression != wanted:
+            changes.append(
+                f"part {plan.part} is stored with {written.compression}, because this OpenImageIO "
+                f"cannot write it with {wanted}"
+            )
+    if changes:
+        warnings.warn(
+            f"{printable(info.path)}: {printable('; '.join(changes))}.",
+            JaxblurIOWarning,
+            stacklevel=5,
+        )
 
 
 def _mended_part(
@@ -382,6 +423,17 @@ def _not_copied(path: PathLike, info: FileInfo, part: int, why: str) -> JaxblurI
     )
 
 
+def _refuse_deep(path: PathLike, info: FileInfo, extra: str) -> None:
+    """Refuse what OpenImageIO cannot write: deep parts in one file with a flat picture."""
+    deep = next((index for index, part in enumerate(info.parts) if part.deep), None)
+    if deep is not None and extra == "keep":
+        raise JaxblurIOError(
+            path,
+            f"part {deep} of {info.path} is deep, and OpenImageIO cannot write deep and flat parts "
+            "into one file; pass extra='drop'.",
+        )
+
+
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
     """Check the image against the model's size and number of color channels."""
     if not info.path.lower().endswith(".exr"):
@@ -432,6 +484,23 @@ def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
         for side, displacement in (("previous", moved.previous), ("next", moved.next))
         for index, axis in enumerate("XY")
     }
+
+
+def _colors(
+    like: PathLike | None,
+    layer: str | None,
+    color_channels: Sequence[str] | None,
+    color_space: str | None,
+    view: str | None,
+) -> Conversion:
+    """Find out how the colors of a preview are converted."""
+    if like is not None:
+        info = inspect(like)
+        names = choose_color(info, layer, color_channels).channels
+        return conversion_of(info, names[0], color_space, view)
+    check_view(view)
+    check_color_space(color_space)
+    return Conversion(color_space, "given" if color_space else "", view)
 
 
 def _write_png(

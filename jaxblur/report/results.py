@@ -38,11 +38,13 @@ import jaxblur
 from .._util.atomic import replacing
 from .._util.errors import JaxblurIOError
 from .._util.text import printable
-from ..exr import read_image, write_image
+from ..exr import Conversion, check_view, read_image, write_image
 
 SCHEMA = 1
 MANIFEST = "result.json"
 PICTURES = "pictures"
+COLORS, VIEW = "colors", "view"
+"""Shared settings that say how pictures were converted, and the view that they are in, if any."""
 LONGEST = 1e12
 """Milliseconds that no method takes: thirty years."""
 
@@ -288,6 +290,46 @@ def read_result(folder: pathlib.Path) -> Result:
         settings=read.value(content, "settings", dict),
         versions=read.value(content, "versions", dict),
     )
+
+
+def in_view(result: Result, view: str) -> Result:
+    """Convert the pictures of a result to an OpenColorIO view, and judge them again in it.
+
+    Args:
+        result: as `read_result` gives it; its pictures are linear sRGB.
+        view: of the default display of the configuration.
+
+    Returns:
+        The result with pictures, truth, error maps, PSNR, SSIM and FLIP as that view shows them.
+
+    Raises:
+        ValueError: there is no such view, or the pictures are in a view already.
+    """
+    check_view(view)
+    if VIEW in result.settings:
+        raise ValueError(
+            f"`view`: the pictures of this result are in the view {result.settings[VIEW]} already; "
+            "leave it out, or write the result without a view."
+        )
+    colors = Conversion(view=view)
+    shots = [_shot_in(shot, colors) for shot in result.shots]
+    words = f"{result.settings.get(COLORS, 'linear sRGB')}, then {colors.words}"
+    settings = {**result.settings, COLORS: words, VIEW: view}
+    return dataclasses.replace(result, shots=shots, settings=settings)
+
+
+def _shot_in(shot: Shot, colors: Conversion) -> Shot:
+    truth = colors.light(np.asarray(shot.truth))
+    pictures = []
+    for picture in shot.pictures:
+        if picture.image is not None:
+            image = colors.light(np.asarray(picture.image))
+            scores, flip = _judge(image, truth, {})
+            picture = dataclasses.replace(
+                picture, image=image, flip=flip, scores={**picture.scores, **scores}
+            )
+        pictures.append(picture)
+    return dataclasses.replace(shot, truth=truth, pictures=pictures)
 
 
 def _printable(content: Any) -> Any:

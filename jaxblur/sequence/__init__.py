@@ -22,6 +22,7 @@ from .jobs import (
 )
 from .names import (
     FrameNames as FrameNames,
+    at_frame as at_frame,
     has_frame_number as has_frame_number,
     missing_frames as missing_frames,
     parse_frames as parse_frames,

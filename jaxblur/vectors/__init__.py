@@ -30,6 +30,7 @@ from .convert import (
 )
 from .guess import (
     Guess as Guess,
+    NoVectorsError as NoVectorsError,
     assign_channels as assign_channels,
     describe_names as describe_names,
     find_channels as find_channels,

@@ -7,6 +7,10 @@ from collections.abc import Sequence
 from .presets import PRESETS, Layout, Preset
 
 
+class NoVectorsError(ValueError):
+    """No channels match."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Guess:
     """A convention matched to the channels of a file.
@@ -36,7 +40,8 @@ def guess_preset(channel_names: Sequence[str]) -> Guess:
         The single match.
 
     Raises:
-        ValueError: no convention matches, or several do; the message lists the candidates.
+        NoVectorsError: no convention matches.
+        ValueError: several match; the message lists the candidates.
 
     Example:
         >>> names = ["R", "G", "B", "forward.u", "forward.v", "backward.u", "backward.v"]
@@ -50,7 +55,7 @@ def guess_preset(channel_names: Sequence[str]) -> Guess:
         for guess in _matches(preset, channel_names)
     ]
     if not guesses:
-        raise ValueError(
+        raise NoVectorsError(
             f"no motion vectors recognized among {describe_names(channel_names)}; render the "
             "pass, name the file that has them with `velocity_from`, or, if they are among these "
             "channels, name them with `velocity_channels` and their convention with `preset`."
@@ -69,13 +74,14 @@ def match_preset(preset: str, channel_names: Sequence[str]) -> Guess:
         The match of the first layout of the preset that the file holds.
 
     Raises:
-        ValueError: unknown preset, its channels are missing, or several layers have them.
+        NoVectorsError: its channels are missing.
+        ValueError: unknown preset, or several layers have its channels.
     """
     guesses = _matches(known_preset(preset), channel_names)
     if not guesses:
         first = PRESETS[preset].layouts[0]
         wanted = ", ".join(f"{pair.x}, {pair.y}" for pair in first)
-        raise ValueError(
+        raise NoVectorsError(
             f"no channels of preset `{preset}` (such as {wanted}) among "
             f"{describe_names(channel_names)}; give their names with `velocity_channels`."
         )

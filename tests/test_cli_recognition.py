@@ -1,0 +1,120 @@
+"""``jaxblur blur`` on sequences whose vectors no name identifies: measured on their frames."""
+
+import numpy as np
+import pytest
+
+from jaxblur import exr
+from tests.command_line import refused, run
+from tests.exr_files import write_single
+
+SHAPE = (48, 64)
+MOTION = (5.0, -3.0)
+"""Pixels per frame, x right, y down."""
+FEW = ("--filter", "guertin2014", "--samples", "3", "--radius", "8")
+
+
+def write_shot(folder, names, encode, frames=(11, 12, 13), moving=True, depth="Z"):
+    """Write frames of a smooth texture that moves as a whole; ``encode`` makes raw vectors."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    (folder / "out").mkdir()
+    for frame in frames:
+        shift = np.array(MOTION) * (frame if moving else 0)
+        u, v = x - shift[0], y - shift[1]
+        waves = [
+            np.sin(u / 3.1 + v / 7.3),
+            np.sin(u / 5.7 - v / 4.1),
+            np.cos(u / 9.1) * np.sin(v / 3),
+        ]
+        channels = {name: 0.5 + 0.4 * wave for name, wave in zip("RGB", waves, strict=True)}
+        channels[depth] = np.ones(SHAPE)
+        for name, value in zip(names, encode(*MOTION), strict=True):
+            channels[name] = np.full(SHAPE, value)
+        single = {name: values.astype(np.float32) for name, values in channels.items()}
+        write_single(folder / f"in.{frame}.exr", single)
+    return ("blur", folder / "in.##.exr", "-o", folder / "out/a.##.exr", *FEW)
+
+
+def settings(folder):
+    return exr.inspect(folder / "out/a.11.exr").parts[0].attributes["jaxblur:settings"]
+
+
+def said(outcome):
+    lines = [line for line in outcome.err.splitlines() if "brings frame 12 onto 11" in line]
+    assert len(lines) == 1, outcome.err
+    return lines[0]
+
+
+def fractions(x, y):
+    return x / SHAPE[1], -y / SHAPE[0]
+
+
+def test_fractions_under_the_name_of_pixels_are_recognized(tmp_path):
+    command = write_shot(tmp_path, ("MotionVectors.R", "MotionVectors.G"), fractions)
+    outcome = run(*command)
+    assert outcome.status == 0, outcome.err
+    assert (
+        "vectors: unity for MotionVectors.R, MotionVectors.G (their names alone say redshift)"
+        in said(outcome)
+    )
+    assert 'preset = "unity"' in settings(tmp_path)
+    velocity = exr.read_buffers(tmp_path / "in.11.exr", "unity", 1.0).velocity
+    np.testing.assert_allclose(velocity[0, 0], np.array(MOTION) / 2, rtol=1e-5)
+    assert "3 kept" in run(*command).out
+    assert "other parameters" in refused(*command, "--preset", "redshift")
+
+
+def test_a_name_is_confirmed(tmp_path):
+    command = write_shot(tmp_path, ("MotionVectors.R", "MotionVectors.G"), lambda x, y: (x, -y))
+    outcome = run(*command)
+    assert outcome.status == 0 and "redshift by name, and by measurement" in said(outcome)
+    assert 'preset = "redshift"' in settings(tmp_path)
+
+
+def test_vectors_over_the_shutter_need_no_option(tmp_path):
+    names = ("motionvector.X", "motionvector.Y")
+    command = write_shot(tmp_path, names, lambda x, y: (x / 2, -y / 2))
+    outcome = run(*command)
+    assert outcome.status == 0 and "arnold by name, and by measurement" in said(outcome)
+    written = exr.read_image(tmp_path / "out/a.11.exr")
+    run(*command, "--preset", "arnold", "--file-shutter", "0.5", "--overwrite")
+    np.testing.assert_array_equal(exr.read_image(tmp_path / "out/a.11.exr"), written)
+
+
+@pytest.mark.parametrize(
+    ("names", "given"),
+    [(("flow.u", "flow.v"), ()), (("odd.1", "odd.2"), ("--velocity-channels", "odd.1,odd.2"))],
+)
+def test_channels_that_identify_nothing_are_measured(tmp_path, names, given):
+    command = write_shot(tmp_path, names, lambda x, y: (x, y))
+    outcome = run(*command, *given)
+    assert outcome.status == 0, outcome.err
+    assert f"vectors: pixel for {', '.join(names)}: it brings" in said(outcome)
+
+
+def test_chunks_of_a_sequence_agree(tmp_path):
+    command = write_shot(tmp_path, ("MotionVectors.R", "MotionVectors.G"), fractions)
+    assert "brings frame 12 onto 11" in run(*command, "--frames", "13").err
+    assert "2 written, 1 kept" in run(*command).out
+
+
+def test_frames_that_do_not_decide_leave_what_names_say_and_a_hint(tmp_path):
+    names = ("MotionVectors.R", "MotionVectors.G")
+    command = write_shot(tmp_path, names, fractions, moving=False)
+    outcome = run(*command)
+    assert outcome.status == 0
+    assert "does not show between frames 11 and 12; check it with: jaxblur vectors" in outcome.err
+    assert 'preset = "redshift"' in settings(tmp_path)
+
+
+def test_depth_is_read_as_the_names_say(tmp_path):
+    names = ("forward.u", "forward.v")
+    command = write_shot(tmp_path, names, fractions, depth="depth.Z")
+    outcome = run(*command)
+    assert outcome.status == 0 and "their names alone say nuke" in said(outcome)
+    assert 'depth = "1/z"' in settings(tmp_path)
+
+
+def test_verified_names_and_given_presets_are_not_measured(tmp_path):
+    command = write_shot(tmp_path, ("velocity.X", "velocity.Y"), lambda x, y: (x, y))
+    assert "brings frame" not in run(*command).err
+    assert "brings frame" not in run(*command, "--preset", "uv", "--overwrite").err

@@ -1,0 +1,95 @@
+"""Single-part stereo: channels of several views in one part, named by the attribute multiView."""
+
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from jaxblur import exr
+from tests.command_line import refused, run
+from tests.exr_files import make_spec, plain_frame, write_parts, write_single
+
+SHAPE = (12, 16)
+FEW = ("--filter", "guertin2014", "--samples", "5", "--radius", "4")
+
+
+def stereo(path, *, own, order=("left", "right"), place="right.velocity"):
+    """Write two views; ``own`` lists what the right one has beside color: depth, vectors."""
+    left, right = plain_frame(SHAPE, seed=1), plain_frame(SHAPE, seed=2)
+    channels = dict(left)
+    channels |= {f"right.{name}": right[name] for name in "RGB"}
+    if "depth" in own:
+        channels["right.Z"] = right["Z"]
+    if "vectors" in own:
+        channels |= {f"{place}.{axis}": right[f"velocity.{axis}"] for axis in "XY"}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), order)
+    write_parts(path, [(spec, channels)])
+    return left, right
+
+
+def color_of(frame):
+    return np.stack([frame[name] for name in "RGB"], axis=-1)
+
+
+@pytest.mark.parametrize("place", ["right.velocity", "velocity.right"])
+def test_each_view_has_its_own_color_depth_and_vectors(tmp_path, place):
+    views = stereo(tmp_path / "in.exr", own=("depth", "vectors"), place=place)
+    for layer, frame in zip(("left", "right"), views, strict=True):
+        buffers = exr.read_buffers(tmp_path / "in.exr", shutter=2, layer=layer)
+        np.testing.assert_array_equal(buffers.color, color_of(frame))
+        np.testing.assert_array_equal(buffers.depth, frame["Z"])
+        wanted = np.stack([frame["velocity.X"], frame["velocity.Y"]], axis=-1)
+        np.testing.assert_array_equal(buffers.velocity, wanted)
+    default = exr.read_buffers(tmp_path / "in.exr", shutter=2)
+    np.testing.assert_array_equal(default.color, color_of(views[0]))
+
+
+@pytest.mark.parametrize(
+    ("own", "lacking"), [(("depth",), "vectors"), (("vectors",), "depth"), ((), "vectors, depth")]
+)
+def test_a_view_without_depth_or_vectors_takes_those_of_the_default_view(tmp_path, own, lacking):
+    stereo(tmp_path / "in.exr", own=own)
+    with pytest.warns(exr.JaxblurIOWarning) as caught:
+        buffers = exr.read_buffers(tmp_path / "in.exr", layer="right")
+    texts = [str(warning.message) for warning in caught]
+    assert [text.split(": ")[1] for text in texts] == lacking.split(", ")
+    assert all("view right has none of its own, so" in text for text in texts)
+    assert all("of view left is used" in text for text in texts)
+    assert buffers.color_channels == ("right.R", "right.G", "right.B")
+
+
+def test_an_unknown_view_is_refused(tmp_path):
+    stereo(tmp_path / "in.exr", own=())
+    line = refused("blur", tmp_path / "in.exr", "-o", tmp_path / "o.exr", "--layer", "center")
+    assert "no layer 'center'" in line and "right.R" in line
+
+
+def test_info_lists_the_views(tmp_path):
+    stereo(tmp_path / "in.exr", own=("vectors",))
+    assert "views: left, right; --layer chooses one" in run("info", tmp_path / "in.exr").out
+    out = run("info", tmp_path / "in.exr", "--layer", "right").out
+    assert "color: right.R, right.G, right.B\n" in out
+    assert "depth: Z (view right has none of its own, so Z of view left is used)" in out
+    assert json.loads(run("info", tmp_path / "in.exr", "--json").out)["views"] == ["left", "right"]
+
+
+def test_views_are_blurred_one_after_the_other_without_a_warning(tmp_path):
+    stereo(tmp_path / "in.exr", own=("depth", "vectors"))
+    left, both = tmp_path / "left.exr", tmp_path / "both.exr"
+    assert "before" not in run("blur", tmp_path / "in.exr", "-o", left, *FEW).err
+    outcome = run("blur", left, "-o", both, "--layer", "right", *FEW)
+    assert outcome.status == 0 and "before" not in outcome.err
+    np.testing.assert_array_equal(exr.read_image(both), exr.read_image(left))
+    assert np.abs(exr.read_image(both, "right") - exr.read_image(left, "right")).max() > 0.01
+    for number, layer in enumerate(("left", "right")):
+        again = run("blur", both, "-o", tmp_path / f"{number}.exr", "--layer", layer, *FEW)
+        assert "both.exr: was blurred by guertin2014 before; this blurs it again." in again.err
+
+
+def test_other_files_with_a_layer_of_that_name_are_read_as_before(tmp_path):
+    channels = {f"right.{name}": values for name, values in plain_frame(SHAPE).items()}
+    write_single(tmp_path / "in.exr", channels)
+    assert exr.views_of(exr.inspect(tmp_path / "in.exr")) == ()
+    assert exr.read_buffers(tmp_path / "in.exr", layer="right").depth_channel == "right.Z"
