@@ -184,6 +184,32 @@ def positive_integer(text: str) -> int:
     return int(text)
 
 
+def from_zero(text: str) -> float:
+    """Parse a finite number from 0.
+
+    Raises:
+        ArgumentTypeError: it is not one.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number from 0, got {text!r}")
+    return value
+
+
+def whole_from_zero(text: str) -> int:
+    """Parse a whole number from 0.
+
+    Raises:
+        ArgumentTypeError: it is not one.
+    """
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, got {text!r}")
+    return int(text)
+
+
 def frame_numbers(text: str) -> list[int]:
     """Parse frames such as ``1001-1240``, ``1-100x10`` or ``1,3,7``.
 

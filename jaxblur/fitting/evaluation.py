@@ -1,6 +1,6 @@
 """Errors of a filter on image pairs, in the settings of the run and with its own noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -50,6 +50,7 @@ def evaluate(
     key: jax.Array,
     draws: int,
     labels: tuple[str, str],
+    on_pair: Callable[[], None] | None = None,
 ) -> list[Score]:
     """Score a filter, averaged over draws of noise.
 
@@ -61,6 +62,7 @@ def evaluate(
         key: for the noise, which is the same for all parameters that are compared.
         draws: number of images for each pair.
         labels: part and parameters, as in `Score`.
+        on_pair: called after each pair.
 
     Returns:
         For each pair the whole image and, if anything moves, the pixels that motion reaches.
@@ -74,6 +76,8 @@ def evaluate(
         for region, mask in regions.items():
             if mask.any():
                 scores.append(_score(outputs, pair, mask, (pair.name, *labels, region)))
+        if on_pair is not None:
+            on_pair()
     return scores
 
 
