@@ -153,7 +153,9 @@ def test_parameters_that_jax_does_not_know_are_rejected():
 
 def test_settings_of_other_filters_are_rejected():
     frame, settings = random_frame((4, 5)), jaxblur.GuertinSettings()
-    match = r"choices that layered does not have \(tile_choice, split, .*\); pass jaxblur.Settings"
+    match = (
+        r"layered does not have \(tile_choice, .*\): it takes Settings, .*; pass jaxblur.Settings"
+    )
     with pytest.raises(ValueError, match=match):
         jaxblur.layered(frame, jaxblur.LayeredParameters(), settings=settings)
     with pytest.raises(ValueError, match="choices that mcguire2012 does not have"):

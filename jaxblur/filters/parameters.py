@@ -190,6 +190,42 @@ def infos_of(parameters: type | None) -> dict[str, ParameterInfo]:
 NO_DEPTH, STRICT_DEPTH = "depth is switched off", "every difference of depth is a full step"
 
 
+def check_parameters_type(
+    parameters: object, kind: type | None, filter: str, argument: str = "parameters"
+) -> None:
+    """Reject what are not the parameters of a filter; values are not looked at, but for their type.
+
+    Args:
+        parameters: as given.
+        kind: the class that the filter takes, or None if it has no parameters.
+        filter: its name, for the message.
+        argument: name of the argument, for the message.
+
+    Raises:
+        ValueError: they are of another class, or one of them is no number.
+    """
+    given = type(parameters).__name__
+    if kind is None:
+        if parameters is not None:
+            raise ValueError(
+                f"`{argument}` must be None: {filter} has no parameters, not {given}; leave it out."
+            )
+        return
+    name = kind.__name__
+    if not isinstance(parameters, kind):
+        remedy = f"pass {name}()"
+        if isinstance(parameters, type):
+            given = f"the class {parameters.__name__} itself"
+        elif isinstance(parameters, dict):
+            remedy = f"pass {name}(**values)"
+        raise ValueError(
+            f"`{argument}` must be {name}: {filter} takes {name}, not {given}; {remedy}."
+        )
+    for field, value in vars(parameters).items():
+        if value is None or isinstance(value, str | bytes | list | tuple | dict):
+            raise ValueError(f"`{argument}.{field}` must be a number, got {value!r}.")
+
+
 @dataclasses.dataclass(frozen=True)
 class GuertinParameters:
     """Parameters of Guertin 2014; floats, arrays or tracers. Defaults are the published ones.

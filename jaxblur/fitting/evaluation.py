@@ -10,9 +10,10 @@ from jaxtyping import Array, Float
 
 from .. import metrics
 from ..batch import blur_batch
+from ..frame import Frame
 from ..settings import Settings
 from .objective import draw_noise
-from .pairs import Pair
+from .pairs import Pair, make_pairs
 from .result import Score
 
 
@@ -45,7 +46,7 @@ def images(
 def evaluate(
     filter_name: str,
     parameters: Any,
-    pairs: Sequence[Pair],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     settings: Settings,
     key: jax.Array,
     draws: int,
@@ -68,7 +69,7 @@ def evaluate(
         For each pair the whole image and, if anything moves, the pixels that motion reaches.
     """
     scores = []
-    for index, pair in enumerate(pairs):
+    for index, pair in enumerate(make_pairs(pairs)):
         pair_key = jax.random.fold_in(key, index)
         outputs = images(filter_name, parameters, pair, settings, pair_key, draws)
         moving = metrics.motion_footprint(pair.frame)
@@ -95,7 +96,7 @@ def _score(
 def display_error(
     filter_name: str,
     parameters: Any,
-    pairs: Sequence[Pair],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     settings: Settings,
     key: jax.Array,
     draws: int,
@@ -115,7 +116,7 @@ def display_error(
     """
     errors = [
         metrics.mse(metrics.display(output), metrics.display(pair.truth))
-        for index, pair in enumerate(pairs)
+        for index, pair in enumerate(make_pairs(pairs))
         for output in images(
             filter_name, parameters, pair, settings, jax.random.fold_in(key, index), draws
         )

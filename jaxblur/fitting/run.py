@@ -52,7 +52,7 @@ FITTING, EVALUATION, SENSITIVITY = 0, 1, 2
 
 def fit(
     filter: str | Callable[..., Any],
-    pairs: Sequence[tuple[Frame, Any]],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     *,
     initial: Any = None,
     free: Sequence[str] | None = None,
@@ -90,7 +90,7 @@ def fit(
 
     Args:
         filter: the name of a registered filter, or its function.
-        pairs: frames with their truth, (H, W, C) linear light.
+        pairs: frames with their truth, (H, W, C) linear light: `Pair` or tuples.
         initial: parameters of the filter to start from, as its record or by name; those left out
             start from their defaults.
         free: parameters to fit; if None those that the filter frees by default: of guertin2014
@@ -249,7 +249,9 @@ def _with_prior(task: Task, published: Mapping[str, float], strength: float) -> 
 
 
 def _start(info: FilterInfo, initial: Any) -> dict[str, float]:
-    given = initial if isinstance(initial, Mapping) else {} if initial is None else vars(initial)
+    given = initial if isinstance(initial, Mapping) else {}
+    if initial is not None and given is not initial:
+        given = vars(info.checked_parameters(initial, "initial")) if info.parameters else {}
     _check_names("initial", info, given)
     return info.defaults | {name: float(value) for name, value in given.items()}
 
