@@ -3,7 +3,9 @@
 import argparse
 import logging
 import pathlib
+import re
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from . import isolation, results, sequence, stages
@@ -39,6 +41,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = lambda: f"{describe_filters()}\n\n{describe_presets()}"
+    parser.instead_of_more = _as_sequence
     parser.add_argument(
         "input",
         type=file_path,
@@ -81,6 +84,19 @@ def add_parser(commands: Any) -> None:
     )
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
+
+
+def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
+    """How to give several frames, which a shell pattern may have listed."""
+    names = {
+        re.sub(r"\d+(?=\D*$)", lambda m: "#" * len(m[0]), name) for name in (*left, *given[:1])
+    }
+    pattern = names.pop() if len(names) == 1 else ""
+    example = pattern if "#" in pattern else "name.####.exr"
+    return (
+        "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
+        f"'{example}'"
+    )
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
