@@ -348,7 +348,8 @@ class LayeredParameters:
         6.7,
         above=0.0,
         meaning="how strictly one depth is in front of another",
-        useful=(0.03, 1e3),
+        # The sky is a factor of 1e18 away, 40 in log depth.
+        useful=(1e-3, 1e3),
         ends=(NO_DEPTH, STRICT_DEPTH),
     )
     landing_tolerance: float | jax.Array = parameter(
@@ -370,7 +371,7 @@ class LayeredParameters:
         20.0,
         above=0.0,
         meaning="how strictly depths of a surface agree",
-        useful=(0.1, 1e4),
+        useful=(0.01, 1e4),
         ends=("all depths are of one surface", "only equal depths are of one surface"),
     )
     bend: float | jax.Array = parameter(
