@@ -252,7 +252,7 @@ def test_an_input_is_never_overwritten(tmp_path, option):
         (("--samples", "0"), ("whole number from 1",)),
         (("--samples", "2"), ("--samples must be at least 3 for layered",)),
         (("--radius", "big"), ("whole number from 1",)),
-        (("--border", "wrap"), ("'skip', 'clamp'",)),
+        (("--border", "wrap"), ("skip, clamp",)),
         (("--shutter", "-1"), ("--shutter must be", "-1")),
         (("--shutter", "nan"), ("expected an exposure", "nan")),
         (("--depth", "w"), ("--depth must be auto or one of", "'w'")),
