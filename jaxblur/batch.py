@@ -1,7 +1,7 @@
 """`blur_batch`: a filter over a leading axis of frames, in chunks of bounded memory."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -11,9 +11,9 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .filters.registry import FilterInfo, filter_info
-from .frame import Frame
+from .frame import Frame, check_frame_type
 from .noise import Noise
-from .settings import Settings
+from .settings import Settings, checked_settings
 
 FRAME_AXES = {"color": 4, "depth": 3, "velocity": 4, "path": 5, "valid": 3}
 NOISE_AXES = {"tap": 3, "tile": 4}
@@ -63,14 +63,20 @@ def blur_batch(
         _check_batch(frames, noise, chunk)
         return _blur_batch(
             frames,
-            info.make_parameters() if parameters is None else parameters,
+            info.checked_parameters(parameters),
             noise,
             info=info,
-            settings=info.settings if settings is None else settings,
+            settings=_settings(info, settings),
             chunk=chunk,
         )
 
     return blur(frames, noise) if isinstance(frames, Frame) else _by_kind(blur, frames, noise)
+
+
+def _settings(info: FilterInfo, settings: Settings | None) -> Settings:
+    if settings is None:
+        return info.settings
+    return checked_settings(settings, info.kind, info.name)
 
 
 def _by_kind(
@@ -121,6 +127,10 @@ def has_frame_axis(noise: Noise) -> bool:
 
 
 def _check_sequence(frames: Sequence[Frame], noise: Noise | None) -> None:
+    if isinstance(frames, type | str) or not isinstance(frames, Iterable):
+        check_frame_type(frames, "frames")
+    for number, frame in enumerate(frames):
+        check_frame_type(frame, f"frames[{number}]")
     sizes = {jnp.shape(frame.color): number for number, frame in reversed([*enumerate(frames)])}
     if len(sizes) != 1:
         listing = ", ".join(f"{size} from number {number}" for size, number in sizes.items())

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from .batch import blur_batch, has_frame_axis
 from .filters.registry import FilterInfo, filter_info
-from .frame import Frame
+from .frame import Frame, check_frame_type
 from .noise import Noise, resolve_noise
 from .settings import Settings, checked_settings
 
@@ -55,6 +55,7 @@ def blur_frames(
     Raises:
         ValueError: as `jaxblur.blur_batch`.
     """
+    check_frame_type(frames, "frames")
     mesh = _mesh(devices)
     own_noise = noise is not None and has_frame_axis(noise)
     count = len(frames.color)
@@ -107,7 +108,8 @@ def blur_rows(
             it reaches.
     """
     info = filter_info(filter)
-    parameters = info.make_parameters() if parameters is None else parameters
+    check_frame_type(frame)
+    parameters = info.checked_parameters(parameters)
     settings = info.settings if settings is None else settings
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)

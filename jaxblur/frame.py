@@ -27,6 +27,7 @@ longer for what turns by more than the straight displacement between frames show
 """
 
 import dataclasses
+import os
 from typing import TYPE_CHECKING, TypeVar
 
 import jax
@@ -135,6 +136,28 @@ def _in_short(buffer: object) -> str:
     return f"{text} {values.min():.4g} to {values.max():.4g}"
 
 
+def check_frame_type(frame: object, argument: str = "frame") -> None:
+    """Reject what is not a frame, and say how to make one of it.
+
+    Args:
+        frame: as given.
+        argument: name of the argument, for the message.
+
+    Raises:
+        ValueError: it is no `Frame`.
+    """
+    if isinstance(frame, Frame):
+        return
+    given, remedy = type(frame).__name__, "pass jaxblur.Frame(color, depth, velocity)"
+    if isinstance(frame, type):
+        given = f"the class {frame.__name__} itself"
+    elif isinstance(frame, tuple | list) and frame and isinstance(frame[0], Frame):
+        remedy = "pass the first entry alone"
+    elif isinstance(frame, str | os.PathLike):
+        remedy = "read the file: jaxblur.read_frame(path)"
+    raise ValueError(f"`{argument}` must be a jaxblur.Frame, got {given}; {remedy}.")
+
+
 def check_frame(frame: Frame) -> Frame:
     """Check shapes and return the frame as floating-point JAX arrays of one dtype.
 
@@ -149,8 +172,13 @@ def check_frame(frame: Frame) -> Frame:
         The frame with every buffer in the widest of the buffers' dtypes, at least float32.
 
     Raises:
-        ValueError: a buffer has the wrong number of axes, or sizes disagree.
+        ValueError: it is no frame, a buffer is missing or has the wrong number of axes, or sizes
+            disagree.
     """
+    check_frame_type(frame)
+    for name in ("color", "depth", "velocity"):
+        if getattr(frame, name) is None:
+            raise ValueError(f"`frame.{name}` must be an array, got None.")
     buffers = {
         field.name: jnp.asarray(value)
         for field in dataclasses.fields(frame)

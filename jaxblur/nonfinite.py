@@ -75,7 +75,10 @@ def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame
         >>> finite_frame(frame, "ignore")[1].color
         1
     """
+    from .frame import check_frame_type
+
     check_policy(nonfinite)
+    check_frame_type(frame)
     bad = {
         name: not_finite(np.asarray(value, np.float64))
         for name in ("color", "velocity", "path")

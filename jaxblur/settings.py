@@ -117,19 +117,27 @@ def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the fi
         The same settings as an object of that class.
 
     Raises:
-        ValueError: the settings hold choices that the filter does not have.
+        ValueError: they are no settings, or hold choices that the filter does not have.
 
     >>> checked_settings(Settings(samples=9), GuertinSettings).tile_choice
     'stochastic'
     """
     if type(settings) is kind:
         return settings
+    if not isinstance(settings, Settings):
+        given = type(settings).__name__
+        if isinstance(settings, type):
+            given = f"the class {settings.__name__} itself"
+        raise ValueError(
+            f"`settings` must be {kind.__name__}: {filter} takes {kind.__name__}, not {given}; "
+            f"pass settings=jaxblur.{kind.__name__}(...), or leave it out for the defaults."
+        )
     names = {field.name for field in dataclasses.fields(kind)}
     extra = [field.name for field in dataclasses.fields(settings) if field.name not in names]
     if extra:
         raise ValueError(
-            f"`settings` holds choices that {filter} does not have ({', '.join(extra)}); pass "
-            f"jaxblur.{kind.__name__}."
+            f"`settings` holds choices that {filter} does not have ({', '.join(extra)}): it takes "
+            f"{kind.__name__}, not {type(settings).__name__}; pass jaxblur.{kind.__name__}."
         )
     values = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     return kind(**values)

@@ -293,3 +293,45 @@ def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
     assert result.returncode == 0, result.stderr
     assert "jaxblur: warning: no compile cache" in result.stderr
     assert (tmp_path / "out.exr").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (
+            ("blur", "--smaples", "35"),
+            "unknown option --smaples; did you mean --samples? see `jaxblur blur --help`",
+        ),
+        (
+            ("blur", "a.exr", "-o", "b.exr", "--smaples=35"),
+            "unknown option --smaples; did you mean --samples? see `jaxblur blur --help`",
+        ),
+        (("fit", "a.exr", "--hold-out", "b"), "did you mean --holdout? see `jaxblur fit --help`"),
+        (("info", "a.exr", "--qwxyz"), "unknown option --qwxyz; see `jaxblur info --help`"),
+        (("info", "a.exr", "-x"), "unknown option -x; see `jaxblur info --help`"),
+        (("--verison",), "unknown option --verison; did you mean --version? see `jaxblur --help`"),
+        (
+            ("blur", "a.exr", "-o", "b.exr", "--depth", "-1/z"),
+            "--depth -1/z: a value that begins with - is given as --depth=-1/z; see",
+        ),
+        (("blurr",), "invalid choice: 'blurr' (did you mean blur?); choose from blur, fit"),
+        (("blur", "a.exr", "-o", "b.exr", "--border", "clam"), "(did you mean clamp?)"),
+        (
+            ("blur", "shot/a.0011.exr", "shot/a.0012.exr", "-o", "b.exr"),
+            "unexpected shot/a.0012.exr: `jaxblur blur` takes one frame, or the names of a "
+            "sequence as one pattern, in quotes: 'shot/a.####.exr'; see `jaxblur blur --help`",
+        ),
+        (("blur", "a.exr", "b.exr", "-o", "c.exr"), "as one pattern, in quotes: 'name.####.exr'"),
+        (("blur", "-o", "c.exr", "a.exr", "b.exr"), "unexpected b.exr: "),
+    ],
+)
+def test_a_mistyped_option_is_named_with_the_nearest_and_the_help_of_its_command(arguments, says):
+    assert says in refused(*arguments)
+
+
+def test_options_may_be_shortened_and_numbers_negative(tmp_path):
+    assert "no such file" in refused(
+        "blur", tmp_path / "a.exr", "-o", tmp_path / "b.exr", "--samp", 9
+    )
+    assert "expected a number from 0" in refused("fit", "a.exr", "--prior", "-1.5")
+    assert run("info", CAR, "-q").status == 0

@@ -280,7 +280,7 @@ def test_an_input_is_never_overwritten(tmp_path, option):
         (("--seed", "1.5"), ("frame or a whole number", "'1.5'")),
         (("--samples", "2"), ("--samples must be at least 3 for layered",)),
         (("--radius", "big"), ("whole number from 1",)),
-        (("--border", "wrap"), ("'skip', 'clamp'",)),
+        (("--border", "wrap"), ("skip, clamp",)),
         (("--shutter", "-1"), ("--shutter must be", "-1")),
         (("--shutter", "nan"), ("expected an exposure", "nan")),
         (("--depth", "w"), ("--depth must be auto or one of", "'w'")),

@@ -1,5 +1,7 @@
 """``jaxblur fit``, and ``jaxblur blur --parameters`` with what it wrote."""
 
+import pathlib
+import re
 import tomllib
 
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
+from jaxblur.cli.arguments import CommandError
+from jaxblur.cli.fit import held_out
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, write_single
 
@@ -42,6 +46,15 @@ def test_it_fits_reports_and_writes(fitted):
     assert f"{out}\n" in outcome.out
     for words in ("held-out", "published", "± standard error", "held"):
         assert words in outcome.out
+    stages = ("compiling", "scanning for a start", "descent", "scoring", "standard errors")
+    said = [outcome.err.index(f"jaxblur: {stage}\n") for stage in stages]
+    assert said == sorted(said), "each stage is announced as it begins"
+    assert result.sensitivity is not None
+    rows = {line.split()[0]: line for line in outcome.out.splitlines() if line}
+    for name in result.free:
+        assert ("not determined" in rows[name]) == (name in result.sensitivity.undetermined)
+    for warning in result.warnings:
+        assert f"warning: {warning}" in outcome.err
     for step in (1, 2, 3):
         assert f"step {step}/3 loss" in outcome.err
     assert "minimized: mse error expected over the random outcomes" in outcome.err
@@ -107,7 +120,13 @@ TRUTH = DATA / "sky_car_truth_0011.exr"
         ((CAR, "--truth", "{name}.exr"), "'{name}.exr' does not apply to"),
         ((CAR, "--truth", "none_{number}.exr"), "none_0011.exr"),
         ((CAR, "--truth", TRUTH, "--holdout", "truck*"), "--holdout: no frame matches 'truck*'"),
-        ((CAR, "--truth", TRUTH, "--holdout", "sky*"), "--holdout: no frame is left to fit"),
+        (
+            (CAR, "--truth", TRUTH, "--holdout", "sky*"),
+            "--holdout: no frame is left to fit, 'sky*' matches every frame; hold out fewer of "
+            f"{CAR}.",
+        ),
+        ((CAR, "--truth", TRUTH, "--patience", "-1"), "expected a whole number from 0, got '-1'"),
+        ((CAR, "--truth", TRUTH, "--prior=-1"), "--prior: expected a number from 0, got '-1'"),
         ((CAR, "--truth", TRUTH, "--free", "eta,phi"), "must not hold both eta and phi"),
         ((CAR, "--truth", TRUTH, "--free", "speed"), "has no parameter 'speed'"),
         ((CAR, "--truth", TRUTH, "--crop", "9x9"), "expected WxH+X+Y"),
@@ -121,6 +140,38 @@ def test_mistakes_are_one_line(tmp_path, arguments, match):
     out = tmp_path / "fitted.toml"
     assert match in refused("fit", *arguments, "-o", out)
     assert not list(tmp_path.iterdir())
+
+
+SHOTS = [
+    pathlib.Path(name)
+    for name in ("shots/car/f_0011.exr", "shots/rolling_ball/f_0011.exr", "shots/gears/f_0012.exr")
+]
+
+
+@pytest.mark.parametrize(
+    ("patterns", "found"),
+    [
+        (["*rolling*"], [1]),
+        (["shots/rolling_ball/*"], [1]),
+        (["rolling_ball/f_0011.exr"], [1]),
+        (["shots/car/f_0011.exr"], [0]),
+        (["f_0012*"], [2]),
+        (["*_0011.exr"], [0, 1]),
+        (["*car*", "*gears*"], [0, 2]),
+        (["shots/[cg]*"], [0, 2]),
+    ],
+)
+def test_hold_out_patterns_match_as_in_a_shell(patterns, found):
+    assert held_out(SHOTS, patterns) == found
+
+
+def test_a_pattern_that_matches_nothing_or_everything_lists_the_frames():
+    listing = ", ".join(map(str, SHOTS))
+    with pytest.raises(CommandError, match=re.escape("'*truck*'; * stands for any characters. T")):
+        held_out(SHOTS, ["*truck*"])
+    for patterns in (["*.exr"], ["*car*", "*rolling*", "*gears*"]):
+        with pytest.raises(CommandError, match=f"no frame is left to fit, .* fewer of {listing}"):
+            held_out(SHOTS, patterns)
 
 
 def test_outputs_are_checked_first(tmp_path):
@@ -184,7 +235,7 @@ def test_ctrl_c_before_the_first_step_leaves_nothing(tmp_path, monkeypatch):
     assert outcome.err.endswith(
         "error: interrupted before the first step; there is nothing to continue from\n"
     )
-    assert "starting; first the filter is compiled" in outcome.err
+    assert "starting; stages: compiling, scanning for a start" in outcome.err
     assert not list(tmp_path.iterdir())
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import jaxblur
 from jaxblur import exr, vectors
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, CUBE_NEXT, plain_frame, write_single
@@ -226,3 +227,40 @@ def test_vectors_of_a_motion_along_one_axis_are_inconclusive(tmp_path):
     outcome = run(*given, "--json")
     assert outcome.status == 1
     assert json.loads(outcome.out)["undecided"] == ["the sign of y"]
+
+
+def test_info_lists_several_files_one_after_the_other():
+    outcome = run("info", CAR, CUBE, "--radius", "5")
+    alone = [run("info", path, "--radius", "5").out for path in (CAR, CUBE)]
+    assert outcome.status == 0 and outcome.out == "\n".join(alone)
+
+
+def test_info_lists_a_sequence_in_the_order_of_its_frames():
+    pattern = CUBE.parent / "cube_over_crates_frame_####.exr"
+    out = run("info", pattern).out
+    assert out == run("info", CUBE, CUBE_NEXT).out
+    assert out.startswith(f"{CUBE}\n") and f"\n\n{CUBE_NEXT}\n" in out
+    assert "no such frames" in refused("info", CUBE.parent / "nothing_####.exr")
+
+
+def test_info_as_json_is_an_object_for_each_file():
+    decoder, text, paths = json.JSONDecoder(), run("info", CAR, CUBE, "--json").out, []
+    while text:
+        found, end = decoder.raw_decode(text)
+        paths.append(found["path"])
+        text = text[end:].lstrip()
+    assert paths == [str(CAR), str(CUBE)]
+
+
+def test_a_file_that_cannot_be_listed_does_not_keep_the_others_from_it(tmp_path):
+    outcome = run("info", tmp_path / "missing.exr", CAR)
+    assert outcome.status == 1 and str(CAR) in outcome.out
+    assert outcome.err == f"jaxblur: error: {tmp_path / 'missing.exr'}: no such file.\n"
+    assert "no such file" in refused("info", tmp_path / "missing.exr")
+
+
+def test_info_says_where_its_radius_comes_from():
+    usual = jaxblur.filter_info("layered").settings.radius
+    out = run("info", CAR).out
+    assert f"beyond {usual} px: what layered, the default filter, shortens to its default" in out
+    assert "the default filter" not in run("info", CAR, "--radius", "5").out

@@ -107,3 +107,11 @@ def test_counts_by_blocks_are_those_of_the_whole(tmp_path, monkeypatch):
         assert output.write_image(np.stack(list(channels.values()), axis=-1))
         assert output.close()
         assert exr.count_not_finite(tmp_path / f"{name}.exr") == expected
+
+
+def test_several_files_are_isolated_each_by_itself(tmp_path):
+    missing = tmp_path / "missing.exr"
+    outcome = spawn("info", missing, CAR, "--isolate", "--radius", "7")
+    assert outcome.returncode == 1
+    assert outcome.stdout.strip() == run("info", CAR, "--radius", "7").out.strip()
+    assert outcome.stderr == f"jaxblur: error: {missing}: no such file.\n"

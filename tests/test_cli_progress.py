@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from jaxblur.cli.progress import LOG, about_frame, frame_messages, progress
+from jaxblur.cli.progress import LOG, about_frame, frame_messages, progress, stages
 
 
 @pytest.fixture(autouse=True)
@@ -66,5 +66,56 @@ def test_elsewhere_each_frame_is_a_line(monkeypatch, capsys, handler):
     blur_four_frames()
     assert capsys.readouterr().err.splitlines() == [
         "color: R, G, B",
-        *(f"frame {k} ok [{k}/4, {25 * k}%]" for k in range(1, 5)),
+        *(f"{k} of 4 done: frame {k} ok" for k in range(1, 5)),
     ]
+
+
+def test_frames_that_end_in_another_order_are_counted_by_how_many_are_done(capsys, handler):
+    handler.setStream(sys.stderr)
+    with progress(2) as tell:
+        tell("frame 2 ok")
+        tell("frame 1 ok")
+    assert capsys.readouterr().err.splitlines() == [
+        "1 of 2 done: frame 2 ok",
+        "2 of 2 done: frame 1 ok",
+    ]
+
+
+def test_stages_are_lines_and_a_long_one_says_that_it_goes_on(monkeypatch, capsys, handler):
+    monkeypatch.setattr("jaxblur.cli.progress.SECONDS_BETWEEN_LINES", 0.1)
+    handler.setStream(sys.stderr)
+    with stages() as shown:
+        shown.stage("compiling", 0, 1)
+        time.sleep(0.4)
+        shown.stage("scoring", 0, 8)
+        shown.stage("scoring", 1, 8)
+        time.sleep(0.4)
+        shown.detail("loss 3")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "compiling" and lines[1] == "compiling: 0 s so far"
+    middle = lines.index("scoring")
+    assert lines[middle + 1] == "scoring: 1 of 8, 0 s so far" and lines[-1] == "loss 3"
+    assert len(lines) < 12, "not a line for every part"
+
+
+def test_a_terminal_shows_a_bar_for_each_stage(monkeypatch, handler):
+    reader, writer = pty.openpty()
+    for name, value in {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "24"}.items():
+        monkeypatch.setenv(name, value)
+    with os.fdopen(writer, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        handler.setStream(terminal)
+        with stages() as shown:
+            shown.stage("compiling", 0, 1)
+            LOG.info("said above")
+            shown.stage("compiling", 1, 1)
+            shown.stage("descent", 0, 9)
+            shown.detail("step 1 [b]")
+            shown.stage("descent", 4, 9)
+            shown.stage("scoring", 0, 2)
+            shown.stage("scoring", 2, 2)
+    plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", everything(reader))
+    assert "said above" in plain
+    assert re.search(r"\+ compiling +━+ +1/1 +0:00:00", plain)
+    assert re.search(r"\+ descent: step 1 \[b\] ━+ +4/4 +0:00:00", plain), "ended early"
+    assert re.search(r"\+ scoring +━+ +2/2 +0:00:00", plain)

@@ -92,11 +92,46 @@ def test_ranges_in_words():
         ({"above": 2.0}, "`default` must be above 2, got 1"),
         ({"low": 3.0, "high": 2.0}, "`low` must be a number below `high`"),
         ({"high": 2.0}, "`low` must be a number below `high`, got -inf and 2"),
+        ({"useful": (2.0, 3.0)}, "`useful` must be two values around the default 1, got 2 and 3"),
+        ({"useful": (0.1, 3.0), "ends": ("off", "")}, "`ends` must say what the filter does at 3"),
     ],
 )
 def test_ranges_that_are_rejected(options, match):
     with pytest.raises(ValueError, match=match):
         jaxblur.parameter(1.0, meaning="x", **options)
+
+
+def test_every_parameter_says_where_it_stops_to_matter():
+    for name in FILTERS:
+        for known in filter_info(name).parameter_infos.values():
+            first, last = known.useful
+            assert known.useless(known.default) == "" and known.low < first < last
+            assert known.useless(first) == known.useless(first / 10) == known.ends[0] != ""
+            assert last == np.inf or known.useless(last) == known.useless(2 * last) == known.ends[1]
+    sharpness = filter_info("guertin2014").parameter_infos["depth_sharpness"]
+    assert sharpness.useless(0.0019) == "depth is switched off"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "end"),
+    [
+        *(("guertin2014", "gamma", 0), ("guertin2014", "phi", 0)),
+        *(("guertin2014", "depth_sharpness", 0), ("mcguire2012", "soft_z_extent", 1)),
+        *(("layered", "front_sharpness", 0), ("layered", "own_tolerance", 1)),
+        *(("layered", "landing_tolerance", 1), ("layered", "distinct", 1)),
+    ],
+)
+def test_beyond_the_useful_range_hardly_anything_changes(name, parameter, end):
+    info, frame = filter_info(name), jaxblur.read_frame(CAR)
+    edge = info.parameter_infos[parameter].useful[end]
+
+    def blur(value):
+        record = info.make_parameters(**{parameter: value})
+        return np.asarray(info.call(frame, record))[..., :3]
+
+    beyond = blur(edge * (10 if end else 0.1)) - blur(edge)
+    blurred = blur(edge) - np.asarray(frame.color)[..., :3]
+    assert np.sqrt(np.mean(beyond**2)) < 0.02 * np.sqrt(np.mean(blurred**2))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +188,9 @@ def test_parameters_that_jax_does_not_know_are_rejected():
 
 def test_settings_of_other_filters_are_rejected():
     frame, settings = random_frame((4, 5)), jaxblur.GuertinSettings()
-    match = r"choices that layered does not have \(tile_choice, split, .*\); pass jaxblur.Settings"
+    match = (
+        r"layered does not have \(tile_choice, .*\): it takes Settings, .*; pass jaxblur.Settings"
+    )
     with pytest.raises(ValueError, match=match):
         jaxblur.layered(frame, jaxblur.LayeredParameters(), settings=settings)
     with pytest.raises(ValueError, match="choices that mcguire2012 does not have"):

@@ -192,6 +192,7 @@ def whole_fit(examples: Sequence[Example]) -> fitting.FitResult:
         mask="moving",
         settings=SETTINGS,
         steps=PROFILED_STEPS,
+        patience=0,
         names=[example.name for example in examples],
     )
 

@@ -52,6 +52,7 @@ def fit(
         noise="builtin",
         settings=SETTINGS,
         steps=steps,
+        patience=0,
     )
 
 

@@ -109,8 +109,12 @@ def frame_subject(name: str, frame: Frame, truth: Any = None, shutter: float = 0
     frame = _on_device(check_frame(frame))
     height, width = frame.depth.shape
     size = height, width
-    if truth is not None and np.shape(truth)[:2] != size:
-        raise ValueError(f"`truth` must have shape {size}, got {np.shape(truth)[:2]}.")
+    shape = np.shape(truth)
+    if truth is not None and (len(shape) != 3 or shape[:2] != size):
+        raise ValueError(
+            f"`truth` must have shape ({height}, {width}, channels) like the frame, got {shape}; "
+            "render both with the same data window."
+        )
     loaded = Loaded(frame, None if truth is None else rgb(truth))
     digest = hashlib.sha256()
     for buffer in jax.tree.leaves((loaded.frame, loaded.truth)):

@@ -2,12 +2,14 @@
 
 import argparse
 import difflib
+import itertools
 import math
 import os
 import pathlib
 import re
+import sys
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from jaxblur._util.text import printable
@@ -25,13 +27,67 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         more_help: function that gives text to show below the options.
+        instead_of_more: function of the names given and of those left over, for a command that
+            takes one: says how to give several.
     """
 
     more_help: Any = None
+    instead_of_more: Callable[[Sequence[str], Sequence[str]], str] | None = None
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and reject what is unknown here, where the command's own help can be named.
+
+        Raises:
+            CommandError: an option is unknown, or something is left over.
+        """
+        texts = sys.argv[1:] if args is None else list(args)
+        self._refuse_unknown_options(texts)
+        found, left = super().parse_known_args(texts, namespace)
+        if left:
+            remedy = ""
+            if self.instead_of_more is not None:
+                given = [text for text in texts if text not in left and text[:1] != "-"]
+                remedy = f": {self.instead_of_more(given, left)}"
+            self.error(f"unexpected {' '.join(left)}{remedy}")
+        return found, left
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Reject what is not among the choices, with the nearest one."""
+        choices = action.choices
+        if choices is not None and value not in choices:
+            names = list(map(str, choices))
+            hint = did_you_mean(str(value), names)
+            raise argparse.ArgumentError(
+                action, f"invalid choice: {value!r}{hint}; choose from {', '.join(names)}"
+            )
+
+    def _refuse_unknown_options(self, texts: Sequence[str]) -> None:
+        """Reject a mistyped option by name, before its value is taken for something else."""
+        known = self._option_string_actions
+        for before, text in itertools.pairwise(("", *texts)):
+            if text == "--" or (self._subparsers is not None and text[:1] != "-"):
+                return
+            name = text.partition("=")[0]
+            looks = text[:1] == "-" and " " not in text
+            looks = looks and not self._negative_number_matcher.match(text)
+            if not looks or text == "-":
+                continue
+            if name in known or (name[:2] != "--" and name[:2] in known):
+                continue
+            if name[:2] == "--" and any(option.startswith(name) for option in known):
+                continue
+            if name[:2] != "--" and before in known and known[before].nargs != 0:
+                self.error(
+                    f"{before} {text}: a value that begins with - is given as {before}={text}"
+                )
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            self.error(f"unknown option {name}{hint}")
 
     def error(self, message: str) -> NoReturn:
         """Raise the error instead of printing the usage and exiting."""
-        raise CommandError(f"{message}; see `{self.prog} --help`")
+        end = " see" if message.endswith("?") else "; see"
+        raise CommandError(f"{message}{end} `{self.prog} --help`")
 
     def format_help(self) -> str:
         """Append ``more_help``, which may be slow to make."""
@@ -196,6 +252,32 @@ def positive_integer(text: str) -> int:
     """
     if not text.isascii() or not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number from 1, got {text!r}")
+    return int(text)
+
+
+def from_zero(text: str) -> float:
+    """Parse a finite number from 0.
+
+    Raises:
+        ArgumentTypeError: it is not one.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number from 0, got {text!r}")
+    return value
+
+
+def whole_from_zero(text: str) -> int:
+    """Parse a whole number from 0.
+
+    Raises:
+        ArgumentTypeError: it is not one.
+    """
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0, got {text!r}")
     return int(text)
 
 

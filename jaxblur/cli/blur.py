@@ -5,6 +5,7 @@ import logging
 import pathlib
 import re
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from . import isolation, results, sequence, stages
@@ -43,6 +44,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = lambda: f"{describe_filters()}\n\n{describe_presets()}"
+    parser.instead_of_more = _as_sequence
     parser.add_argument(
         "input",
         type=file_path,
@@ -100,6 +102,19 @@ def _add_color_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="color space of the frame and of a truth in EXR, such as ACEScg, where the files do "
         "not name it or name a wrong one (default: as in the file, else linear sRGB)",
+    )
+
+
+def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
+    """How to give several frames, which a shell pattern may have listed."""
+    names = {
+        re.sub(r"\d+(?=\D*$)", lambda m: "#" * len(m[0]), name) for name in (*left, *given[:1])
+    }
+    pattern = names.pop() if len(names) == 1 else ""
+    example = pattern if "#" in pattern else "name.####.exr"
+    return (
+        "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
+        f"'{example}'"
     )
 
 

@@ -4,7 +4,9 @@ import argparse
 import contextlib
 import dataclasses
 import json
+import logging
 import os
+import pathlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,8 +21,12 @@ from .arguments import (
     positive_integer,
 )
 from .console import print_line, print_table
+from .errors import is_foreseeable, message_of
 from .filtering import DEFAULT_FILTER
+from .sequence import FAILED, frames_on_disk
 from .sources import add_vector_options
+
+LOG = logging.getLogger("jaxblur")
 
 
 def add_parser(commands: Any) -> None:
@@ -28,21 +34,66 @@ def add_parser(commands: Any) -> None:
     parser = add_command(commands, "info", "List what a file holds and how fast it moves.", run)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_presets
-    parser.add_argument("file", type=file_path, help="image file")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "files", type=file_path, nargs="+", metavar="file", help="image file, or name.####.exr"
+    )
+    parser.add_argument("--json", action="store_true", help="print a JSON object for each file")
     parser.add_argument(
         "--radius",
         type=positive_integer,
         default=filter_info(DEFAULT_FILTER).settings.radius,
         metavar="PX",
-        help="count the vectors beyond it (default %(default)s)",
+        help="count the vectors beyond it (default %(default)s, the longest half-spread that "
+        f"{DEFAULT_FILTER} takes by default)",
     )
     add_vector_options(parser)
     isolation.add_options(parser, memory=4096, seconds=120)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List one file; see `add_parser`."""
+    """List files, one after the other; see `add_parser`."""
+    files = _files(arguments.files)
+    if len(files) == 1:
+        return _list(_about(arguments, files[0]))
+    status = 0
+    for number, file in enumerate(files):
+        if number and not arguments.json:
+            print_line()
+        try:
+            if _list(_about(arguments, file)):
+                status = FAILED
+        except Exception as error:
+            if not is_foreseeable(error):
+                raise
+            LOG.error("%s", in_option_names(message_of(error), vars(arguments)))
+            status = FAILED
+    return status
+
+
+def _files(given: Sequence[pathlib.Path]) -> list[pathlib.Path]:
+    """The files that are named, those of a sequence in the order of their frames."""
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    files = []
+    for path in given:
+        if path.exists() or not has_frame_number(path):
+            files.append(path)
+            continue
+        names = parse_names(path)
+        files += [names.path(frame) for frame in frames_on_disk(names)]
+    return files
+
+
+def _about(arguments: argparse.Namespace, file: pathlib.Path) -> argparse.Namespace:
+    """The arguments of a command for one of the files."""
+    named = {str(path) for path in arguments.files}
+    options = [text for text in arguments.argv if text not in named and text != "--"]
+    own = {"file": file, "argv": [*options, "--", str(file)]}
+    return argparse.Namespace(**vars(arguments) | own)
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    """List one file."""
     from jaxblur import exr
 
     if arguments.isolate and not isolation.in_child:
@@ -72,6 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
         if picture["color"]["channels"]:
             print_line(f"shown as: {_shown_as(info, picture)}")
         _print_motion(motion)
+        _explain_radius(motion, arguments.radius)
     return 0
 
 
@@ -90,6 +142,16 @@ def _borrowed(info: Any, arguments: argparse.Namespace, channels: Sequence[str])
 
     words = exr.borrowed_from(info, arguments.layer, channels) if channels else ""
     return f" ({words})" if words else ""
+
+
+def _explain_radius(motion: dict[str, Any], radius: int) -> None:
+    """Say where the length comes from that vectors are compared with."""
+    usual = filter_info(DEFAULT_FILTER).settings.radius
+    if motion.get("speeds") and radius == usual:
+        print_line(
+            f"beyond {radius} px: what {DEFAULT_FILTER}, the default filter, shortens to its "
+            "default --radius; --radius PX counts beyond another length"
+        )
 
 
 def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -> dict[str, Any]:

@@ -1,13 +1,21 @@
-"""Progress of a sequence: a bar with rate and time left, or, without a terminal, a line a frame."""
+"""Progress of long commands: bars on a terminal, lines elsewhere.
+
+A sequence shows a bar with rate and time left, or a line a frame. Work in stages, such as a fit,
+shows a bar for each stage, or a line as a stage begins and while it goes on.
+"""
 
 import contextlib
 import logging
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 LOG = logging.getLogger("jaxblur")
+
+SECONDS_BETWEEN_LINES = 10.0
+"""For how long work in stages says nothing, at most, where there is no terminal."""
 
 _HERE = threading.local()
 
@@ -74,7 +82,8 @@ def progress(total: int) -> Iterator[Any]:
     def line(text: str) -> None:
         nonlocal count
         count += 1
-        LOG.info("%s [%d/%d, %d%%]", text, count, total, 100 * count // total)
+        # Frames are blurred side by side and end in any order: the count is not the frame's number.
+        LOG.info("%d of %d done: %s", count, total, text)
 
     yield line
 
@@ -104,6 +113,115 @@ def _bar(total: int) -> Iterator[Any]:
     with Progress(*columns, console=Console(stderr=True)) as bar, _logging_above():
         task = bar.add_task("frames", total=total)
         yield lambda text: bar.advance(task)
+
+
+class Stages(Protocol):
+    """Shows work that is done in stages."""
+
+    def stage(self, name: str, done: int, total: int) -> None:
+        """Show that a stage begins, with ``done`` 0, or how many of its parts are done."""
+
+    def detail(self, text: str) -> None:
+        """Show something about the present stage: a line, or the text before its bar."""
+
+
+@contextlib.contextmanager
+def stages() -> Iterator[Stages]:
+    """Show work in stages: bars with the time taken on a terminal, lines elsewhere.
+
+    Yields:
+        What to call as stages begin and go on. Where lines are printed, a stage that says nothing
+        for `SECONDS_BETWEEN_LINES` gives a line by itself.
+    """
+    if sys.stderr.isatty() and LOG.isEnabledFor(logging.INFO):
+        with _bars() as bars:
+            yield bars
+        return
+    lines = _Lines()
+    thread = threading.Thread(target=lines.keep_talking, daemon=True)
+    thread.start()
+    try:
+        yield lines
+    finally:
+        lines.ended.set()
+        thread.join()
+
+
+class _Lines:
+    """Stages as lines of the log."""
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+        self._name, self._parts = "starting", ""
+        self._began = self._said = time.monotonic()
+
+    def stage(self, name: str, done: int, total: int) -> None:
+        self._parts = f" {done} of {total}" if total > 1 else ""
+        if done == 0:
+            self._name, self._began = name, time.monotonic()
+            self._say(name)
+        elif self._idle() > SECONDS_BETWEEN_LINES:
+            self._say(f"{name}:{self._parts}")
+
+    def detail(self, text: str) -> None:
+        self._say(text)
+
+    def keep_talking(self) -> None:
+        """Say from time to time, until the end, what is going on."""
+        while not self.ended.wait(SECONDS_BETWEEN_LINES / 10):
+            if self._idle() > SECONDS_BETWEEN_LINES:
+                seconds = time.monotonic() - self._began
+                self._say(f"{self._name}:{self._parts}, {seconds:.0f} s so far")
+
+    def _idle(self) -> float:
+        return time.monotonic() - self._said
+
+    def _say(self, text: str) -> None:
+        self._said = time.monotonic()
+        LOG.info("%s", text.replace(":,", ":"))
+
+
+@contextlib.contextmanager
+def _bars() -> Iterator[Stages]:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
+    class Bars:
+        def __init__(self, bar: Progress):
+            self._bar, self._task = bar, bar.add_task("starting", total=None)
+            self._name = "starting"
+
+        def stage(self, name: str, done: int, total: int) -> None:
+            if done == 0:
+                self._close()
+                self._name = name
+                self._task = self._bar.add_task(name, total=total if total > 1 else None)
+            else:
+                self._bar.update(self._task, completed=done, total=total)
+
+        def detail(self, text: str) -> None:
+            self._bar.update(self._task, description=f"{self._name}: {escape(text)}")
+
+        def _close(self) -> None:
+            """A stage may end before all of its parts are done."""
+            done = self._bar.tasks[-1].completed
+            self._bar.update(self._task, total=done or 1, completed=done or 1)
+            self._bar.stop_task(self._task)
+
+    columns = (
+        *(SpinnerColumn(finished_text="+"), TextColumn("{task.description}")),
+        *(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar, _logging_above():
+        yield Bars(bar)
 
 
 @contextlib.contextmanager

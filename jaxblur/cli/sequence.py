@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
     sources, outputs = _names(arguments)
-    frames = arguments.frames or _frames_on_disk(sources["input"])
+    frames = arguments.frames or frames_on_disk(sources["input"])
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
@@ -410,7 +410,18 @@ def _times(job: Any) -> list[int | None]:
     return [path.stat().st_mtime_ns if path.exists() else None for path in job.outputs]
 
 
-def _frames_on_disk(names: Any) -> list[int]:
+def frames_on_disk(names: Any) -> list[int]:
+    """The frames of a sequence that exist; missing ones between them give a warning.
+
+    Args:
+        names: a `jaxblur.sequence.FrameNames`.
+
+    Returns:
+        Their numbers, ascending.
+
+    Raises:
+        CommandError: there is none.
+    """
     from jaxblur.sequence import missing_frames
 
     frames = names.frames_on_disk()

@@ -16,6 +16,7 @@ from ..kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, 
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize, shortening
 from ..settings import GuertinSettings, Settings, checked_settings
+from ._arguments import takes
 from ._masking import append_mask, divide_by_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
 from ._weights import (
@@ -444,6 +445,7 @@ def _mean(
     return own + jnp.sum(chances[1:, ..., None] * (colors[1:] - own), axis=0)
 
 
+@takes(GuertinParameters, GuertinSettings)
 def guertin2014(
     frame: Frame,
     parameters: GuertinParameters,
@@ -487,6 +489,7 @@ def guertin2014(
     )
 
 
+@takes(GuertinParameters, GuertinSettings)
 def tile_outcomes(
     frame: Frame,
     parameters: GuertinParameters,
@@ -521,6 +524,7 @@ def tile_outcomes(
     )
 
 
+@takes(GuertinParameters, GuertinSettings)
 def luma_hint(
     frame: Frame,
     parameters: GuertinParameters,

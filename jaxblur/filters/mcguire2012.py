@@ -12,6 +12,7 @@ from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..settings import Settings, checked_settings
+from ._arguments import takes
 from ._masking import honoring_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
 from ._weights import (
@@ -152,6 +153,7 @@ def _blur(
     )
 
 
+@takes(McGuireParameters, Settings)
 def mcguire2012(
     frame: Frame,
     parameters: McGuireParameters,

@@ -29,6 +29,11 @@ class ParameterInfo:
         moves_taps: whether it moves the places that color is read at. A fit of such a parameter
             reads color bilinearly: the nearest texel has no derivative in the place.
         free: whether `jaxblur.fit` fits it unless told otherwise.
+        useful: lower and upper end of the values that make a difference, within the range that is
+            allowed; infinite where there is no such end. A fit that ends there found no value: what
+            the parameter controls is switched off, or does all that it can.
+        ends: what the filter does at the lower and at the upper end of ``useful``, in words that
+            follow "at the end of its useful range,".
     """
 
     default: float
@@ -39,6 +44,8 @@ class ParameterInfo:
     unit: str = ""
     moves_taps: bool = False
     free: bool = True
+    useful: tuple[float, float] = (-math.inf, math.inf)
+    ends: tuple[str, str] = ("", "")
 
     def __post_init__(self):
         if not self.low < self.high or (self.low == -math.inf and self.high < math.inf):
@@ -48,6 +55,15 @@ class ParameterInfo:
             )
         if not self.allows(self.default):
             raise ValueError(f"`default` must be {self.range}, got {self.default:g}.")
+        first, last = self.useful
+        if not first < self.default < last:
+            raise ValueError(
+                f"`useful` must be two values around the default {self.default:g}, got {first:g} "
+                f"and {last:g}; -math.inf and math.inf leave an end open."
+            )
+        for end, reason in zip(self.useful, self.ends, strict=True):
+            if math.isfinite(end) and not reason:
+                raise ValueError(f"`ends` must say what the filter does at {end:g}.")
 
     @property
     def range(self) -> str:
@@ -64,6 +80,24 @@ class ParameterInfo:
         above = value >= self.low if self.includes_low else value > self.low
         return math.isfinite(value) and above and value <= self.high
 
+    def useless(self, value: float) -> str:
+        """What the filter does with a value at, or beyond, an end of the useful range.
+
+        Args:
+            value: in the range that is allowed.
+
+        Returns:
+            The entry of `ends`; empty for a value inside.
+
+        >>> from jaxblur import filter_info
+        >>> filter_info("guertin2014").parameter_infos["depth_sharpness"].useless(0.0019)
+        'depth is switched off'
+        """
+        first, last = self.useful
+        if value <= first:
+            return self.ends[0]
+        return self.ends[1] if value >= last else ""
+
 
 def parameter(
     default: float,
@@ -75,6 +109,8 @@ def parameter(
     unit: str = "",
     moves_taps: bool = False,
     free: bool = True,
+    useful: tuple[float, float] = (-math.inf, math.inf),
+    ends: tuple[str, str] = ("", ""),
 ) -> Any:
     """A field of a filter's parameters, with what the rest of the package must know of it.
 
@@ -89,12 +125,14 @@ def parameter(
         unit: of the value; empty for a plain number.
         moves_taps: see `ParameterInfo`.
         free: whether `jaxblur.fit` fits it unless told otherwise.
+        useful: see `ParameterInfo`.
+        ends: see `ParameterInfo`.
 
     Returns:
         A `dataclasses.field`.
 
     Raises:
-        ValueError: the range is empty or ambiguous, or does not hold the default.
+        ValueError: a range is empty or ambiguous, or does not hold the default.
 
     >>> @dataclasses.dataclass(frozen=True)
     ... class Parameters:
@@ -114,6 +152,8 @@ def parameter(
         unit=unit,
         moves_taps=moves_taps,
         free=free,
+        useful=useful,
+        ends=ends,
     )
     return dataclasses.field(default=default, metadata={_KEY: info})
 
@@ -145,6 +185,47 @@ def infos_of(parameters: type | None) -> dict[str, ParameterInfo]:
     return infos
 
 
+# Useful ranges end where another factor of three changes test frames by less than one or two
+# percent of what the blur changes, or where what the parameter controls has vanished.
+NO_DEPTH, STRICT_DEPTH = "depth is switched off", "every difference of depth is a full step"
+
+
+def check_parameters_type(
+    parameters: object, kind: type | None, filter: str, argument: str = "parameters"
+) -> None:
+    """Reject what are not the parameters of a filter; values are not looked at, but for their type.
+
+    Args:
+        parameters: as given.
+        kind: the class that the filter takes, or None if it has no parameters.
+        filter: its name, for the message.
+        argument: name of the argument, for the message.
+
+    Raises:
+        ValueError: they are of another class, or one of them is no number.
+    """
+    given = type(parameters).__name__
+    if kind is None:
+        if parameters is not None:
+            raise ValueError(
+                f"`{argument}` must be None: {filter} has no parameters, not {given}; leave it out."
+            )
+        return
+    name = kind.__name__
+    if not isinstance(parameters, kind):
+        remedy = f"pass {name}()"
+        if isinstance(parameters, type):
+            given = f"the class {parameters.__name__} itself"
+        elif isinstance(parameters, dict):
+            remedy = f"pass {name}(**values)"
+        raise ValueError(
+            f"`{argument}` must be {name}: {filter} takes {name}, not {given}; {remedy}."
+        )
+    for field, value in vars(parameters).items():
+        if value is None or isinstance(value, str | bytes | list | tuple | dict):
+            raise ValueError(f"`{argument}.{field}` must be a number, got {value!r}.")
+
+
 @dataclasses.dataclass(frozen=True)
 class GuertinParameters:
     """Parameters of Guertin 2014; floats, arrays or tracers. Defaults are the published ones.
@@ -162,7 +243,14 @@ class GuertinParameters:
     """
 
     kappa: float | jax.Array = parameter(
-        40.0, above=0.0, meaning="divides the weight of the pixel's own color"
+        40.0,
+        above=0.0,
+        meaning="divides the weight of the pixel's own color",
+        useful=(0.1, 3e3),
+        ends=(
+            "the pixel's own color outweighs all samples",
+            "its own color has no weight of its own",
+        ),
     )
     gamma: float | jax.Array = parameter(
         1.5,
@@ -170,9 +258,20 @@ class GuertinParameters:
         meaning="speed over which the second direction turns",
         unit="px",
         moves_taps=True,
+        useful=(0.1, 1e3),
+        ends=(
+            "the second direction is the pixel's own velocity at any speed",
+            "the second direction is the perpendicular at any speed",
+        ),
     )
     tau: float | jax.Array = parameter(
-        1.0, low=0.0, high=1.0, meaning="reach of the tile jitter", unit="tiles"
+        1.0,
+        low=0.0,
+        high=1.0,
+        meaning="reach of the tile jitter",
+        unit="tiles",
+        useful=(0.05, math.inf),
+        ends=("the tile jitter is switched off", ""),
     )
     eta: float | jax.Array = parameter(
         0.95,
@@ -181,12 +280,24 @@ class GuertinParameters:
         unit="spacings",
         moves_taps=True,
         free=False,
+        useful=(0.003, 30.0),
+        ends=("the jitter is switched off", "the jitter is as long as the path"),
     )
     phi: float | jax.Array = parameter(
-        27.0, low=0.0, meaning="number of samples that eta refers to", moves_taps=True
+        27.0,
+        low=0.0,
+        meaning="number of samples that eta refers to",
+        moves_taps=True,
+        useful=(0.1, 1e3),
+        ends=("the jitter is switched off", "the jitter is as long as the path"),
     )
     depth_sharpness: float | jax.Array = parameter(
-        1.0, above=0.0, meaning="how strictly depths are separated", free=False
+        1.0,
+        above=0.0,
+        meaning="how strictly depths are separated",
+        free=False,
+        useful=(0.03, 1e3),
+        ends=(NO_DEPTH, STRICT_DEPTH),
     )
 
 
@@ -199,7 +310,13 @@ class McGuireParameters:
     """
 
     soft_z_extent: float | jax.Array = parameter(
-        0.1, above=0.0, meaning="depth over which foreground fades into background", unit="units"
+        0.1,
+        above=0.0,
+        meaning="depth over which foreground fades into background",
+        unit="units",
+        # Wide, since it depends on the unit of the scene; a flat profile says the rest.
+        useful=(1e-5, 1e5),
+        ends=(STRICT_DEPTH, NO_DEPTH),
     )
 
 
@@ -228,16 +345,34 @@ class LayeredParameters:
     """
 
     front_sharpness: float | jax.Array = parameter(
-        6.7, above=0.0, meaning="how strictly one depth is in front of another"
+        6.7,
+        above=0.0,
+        meaning="how strictly one depth is in front of another",
+        # The sky is a factor of 1e18 away, 40 in log depth.
+        useful=(1e-3, 1e3),
+        ends=(NO_DEPTH, STRICT_DEPTH),
     )
     landing_tolerance: float | jax.Array = parameter(
-        1.0, above=0.0, meaning="distance by which a guess may miss the pixel", unit="px"
+        1.0,
+        above=0.0,
+        meaning="distance by which a guess may miss the pixel",
+        unit="px",
+        useful=(0.01, 30.0),
+        ends=("a guess lands only where it meets the pixel exactly", "every guess lands"),
     )
     own_tolerance: float | jax.Array = parameter(
-        0.42, above=0.0, meaning="difference of velocity within a surface, as a share of it"
+        0.42,
+        above=0.0,
+        meaning="difference of velocity within a surface, as a share of it",
+        useful=(0.03, 3.0),
+        ends=("only equal velocities are of one surface", "all velocities are of one surface"),
     )
     surface_sharpness: float | jax.Array = parameter(
-        20.0, above=0.0, meaning="how strictly depths of a surface agree"
+        20.0,
+        above=0.0,
+        meaning="how strictly depths of a surface agree",
+        useful=(0.01, 1e4),
+        ends=("all depths are of one surface", "only equal depths are of one surface"),
     )
     bend: float | jax.Array = parameter(
         0.5,
@@ -245,9 +380,17 @@ class LayeredParameters:
         high=1.0,
         meaning="how much its own velocities bend a pixel's path",
         moves_taps=True,
+        useful=(0.02, math.inf),
+        ends=("paths are not bent", ""),
     )
     jitter: float | jax.Array = parameter(
-        1.0, low=0.0, high=1.0, meaning="noise of the taps, share of a stratum", moves_taps=True
+        1.0,
+        low=0.0,
+        high=1.0,
+        meaning="noise of the taps, share of a stratum",
+        moves_taps=True,
+        useful=(0.02, math.inf),
+        ends=("the jitter is switched off", ""),
     )
     distinct: float | jax.Array = parameter(
         1.0,
@@ -255,6 +398,8 @@ class LayeredParameters:
         meaning="difference from which two velocities count as two",
         unit="px",
         moves_taps=True,
+        useful=(0.01, 30.0),
+        ends=("all velocities count as different", "no two velocities count as different"),
     )
     thin_coverage: float | jax.Array = parameter(
         0.5,
@@ -262,4 +407,6 @@ class LayeredParameters:
         high=1.0,
         meaning="least share of a pixel that thin objects cover",
         moves_taps=True,
+        useful=(0.02, 0.98),
+        ends=("any share counts as an object's", "vectors of thin objects stay as they are"),
     )

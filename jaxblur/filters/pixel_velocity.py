@@ -12,6 +12,7 @@ from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import clamp_speed, safe_norm
 from ..settings import Settings, checked_settings
+from ._arguments import takes
 from ._masking import honoring_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
 from ._weights import SPEED_FLOOR
@@ -81,6 +82,7 @@ def _blur(frame: Frame, noise: Noise | None, settings: Settings) -> jax.Array:
     )
 
 
+@takes(None, Settings)
 def pixel_velocity(
     frame: Frame,
     parameters: None = None,

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 from ..settings import Settings
-from .parameters import ParameterInfo, infos_of
+from .parameters import ParameterInfo, check_parameters_type, infos_of
 
 if TYPE_CHECKING:
     import jax
@@ -154,6 +154,24 @@ class FilterInfo:
                 raise ValueError(f"`{name}` must be a parameter of {self.name}; it has {known}.")
         # Loading the filter makes its parameters known to jax.
         return self.parameters(**values) if self.call and self.parameters else None
+
+    def checked_parameters(self, parameters: Any, argument: str = "parameters") -> Any:
+        """Parameters as the filter takes them; None stands for the defaults.
+
+        Args:
+            parameters: of the class `parameters`, or None.
+            argument: name of the argument, for the message.
+
+        Returns:
+            The same object, or the defaults.
+
+        Raises:
+            ValueError: they are of another class, or one of them is no number.
+        """
+        if parameters is None:
+            return self.make_parameters()
+        check_parameters_type(parameters, self.parameters, self.name, argument)
+        return parameters
 
     def smooth_settings(self, settings: Settings) -> Settings:
         """The differentiable form of some settings; the same ones if the filter has no other."""

@@ -1,4 +1,9 @@
-from .descent import Progress as Progress, default_optimizer as default_optimizer
+from .descent import (
+    Progress as Progress,
+    Stage as Stage,
+    default_optimizer as default_optimizer,
+)
+from .pairs import Pair as Pair
 from .profiles import Profile as Profile, profile as profile
 from .result import FitResult as FitResult, Score as Score, Sensitivity as Sensitivity
 from .run import fit as fit

@@ -58,6 +58,10 @@ class Above:
         """Whether a fitted value ran into the end of the range."""
         return not 1e-4 < value - self.low < 1e6
 
+    def around(self, value: float) -> tuple[float, float]:
+        """Half and double the distance from the bound."""
+        return self.low + (value - self.low) / 2, self.low + 2 * (value - self.low)
+
 
 @dataclasses.dataclass(frozen=True)
 class AnyNumber:
@@ -80,6 +84,11 @@ class AnyNumber:
     def at_end(self, value: float) -> bool:
         """Whether a fitted value diverged."""
         return not abs(value) < 1e6
+
+    def around(self, value: float) -> tuple[float, float]:
+        """Half the value to either side, and 1 where it is 0."""
+        step = abs(value) / 2 or 1.0
+        return value - step, value + step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +122,10 @@ class Interval:
     def at_end(self, value: float) -> bool:
         """Whether a fitted value ran into an end of the range."""
         return not 0.01 < (value - self.low) / (self.high - self.low) < 0.99
+
+    def around(self, value: float) -> tuple[float, float]:
+        """Both ends of the interval, but for `INSET`."""
+        return self.start(self.low), self.start(self.high)
 
 
 Constraint = Above | Interval | AnyNumber

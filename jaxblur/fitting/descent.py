@@ -1,8 +1,9 @@
-"""The optimizer loop: step, report, save, stop, go on."""
+"""The optimizer loop: step, report, save, stop at a plateau or at ctrl-C, go on."""
 
 import dataclasses
 import hashlib
 import io
+import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +19,7 @@ from jaxtyping import Array, Float
 from .._util.atomic import replacing
 from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
+from .priors import Prior
 
 SAVE_EVERY = 30.0
 """Seconds between two states on disk."""
@@ -41,6 +43,54 @@ class Progress:
 
 
 @dataclasses.dataclass(frozen=True)
+class Stage:
+    """The argument of ``on_stage``: what a fit is doing.
+
+    Attributes:
+        name: ``compiling``, ``scanning for a start``, ``descent``, ``Newton steps``, ``scoring``,
+            ``standard errors`` or ``profiles``.
+        done: number of its parts that are done; 0 when it begins.
+        total: number of its parts, at most: a stage may end earlier.
+    """
+
+    name: str
+    done: int
+    total: int
+
+
+Tell = Callable[[Stage], None]
+
+
+def untold(stage: Stage) -> None:
+    """Report a stage to nobody."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Plateau:
+    """When a descent counts as having stopped to improve.
+
+    Attributes:
+        patience: steps without an improvement after which it has; 0 for never.
+        tolerance: least share of the least loss so far that an improvement saves.
+    """
+
+    patience: int = 0
+    tolerance: float = 2e-3
+
+    def reached(self, state: "State") -> bool:
+        """Whether the last `patience` steps, all of them after the last scan, improved nothing."""
+        least, improved = math.inf, 0
+        for step, loss in enumerate(state.losses):
+            if loss < (1 - self.tolerance) * least:
+                least, improved = loss, step
+        idle = len(state.losses) - 1 - max(improved, state.scanned)
+        return self.patience > 0 and idle >= self.patience
+
+
+NEVER = Plateau()
+
+
+@dataclasses.dataclass(frozen=True)
 class Task:
     """The problem of a descent, without its current point.
 
@@ -49,20 +99,23 @@ class Task:
         fixed: values of the parameters that are not.
         batches: the pairs.
         key: for the noise.
+        prior: added to the loss, or None.
     """
 
     objective: Objective
     fixed: Mapping[str, float]
     batches: Sequence[Batch]
     key: jax.Array
+    prior: Prior | None = None
 
     def noise_key(self, step: int) -> jax.Array:
         """The key of a step: always the same one, unless noise is fresh."""
         return jax.random.fold_in(self.key, step if self.objective.noise == "fresh" else 0)
 
     def evaluate(self, free: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Loss and gradient at a point."""
-        return value_and_gradient(self.objective, free, self.fixed, self.batches, key)
+        """Loss and gradient at a point, with the prior."""
+        found = value_and_gradient(self.objective, free, self.fixed, self.batches, key)
+        return found if self.prior is None else self.prior.added_to(*found, free)
 
     def parameters(self, free: jax.Array) -> dict[str, float]:
         """All parameters at a point, in the order of the filter."""
@@ -81,6 +134,7 @@ class State:
         losses: before each step done.
         trail: the optimized vector before each step done.
         scans: number of scans for a better start done, see `optimization`.
+        scanned: number of steps done before the last scan.
     """
 
     free: Float[Array, " names"]
@@ -88,6 +142,7 @@ class State:
     losses: tuple[float, ...] = ()
     trail: tuple[tuple[float, ...], ...] = ()
     scans: int = 0
+    scanned: int = 0
 
 
 def default_optimizer(steps: int) -> optax.GradientTransformation:
@@ -113,8 +168,9 @@ def descend(
     callback: Callable[[Progress], None] | None = None,
     save: Callable[[State], None] | None = None,
     until: int | None = None,
+    plateau: Plateau = NEVER,
 ) -> tuple[State, bool]:
-    """Take the requested number of steps, or stop at ctrl-C.
+    """Take the requested number of steps, or stop at a plateau or at ctrl-C.
 
     Args:
         task: what to minimize.
@@ -124,6 +180,7 @@ def descend(
         callback: called after each step.
         save: called with the state every `SAVE_EVERY` seconds and when interrupted.
         until: stop after as many steps, if fewer.
+        plateau: stop where it is reached.
 
     Returns:
         The last state, and whether ctrl-C ended it.
@@ -135,6 +192,8 @@ def descend(
     saved = time.monotonic()
     try:
         for step in range(len(state.losses), steps if until is None else until):
+            if plateau.reached(state):
+                break
             state = _take_step(task, state, step, update)
             if callback is not None:
                 parameters = task.parameters(state.free)
@@ -160,16 +219,20 @@ def _take_step(task: Task, state: State, step: int, update: Callable[..., Any]) 
         )
     free, optimizer = update(gradient, state.optimizer, state.free, loss, task.batches, key)
     trail = tuple(np.asarray(state.free).tolist())
-    return State(free, optimizer, (*state.losses, float(loss)), (*state.trail, trail), state.scans)
+    return dataclasses.replace(
+        state,
+        free=free,
+        optimizer=optimizer,
+        losses=(*state.losses, float(loss)),
+        trail=(*state.trail, trail),
+    )
 
 
 def _make_update(task: Task, optimizer: Any) -> Callable[..., Any]:
-    objective, fixed = task.objective, task.fixed
-
     @jax.jit
     def update(gradient, optimizer_state, free, loss, batches, key):
         def evaluate(point):
-            return value_and_gradient(objective, point, fixed, batches, key)
+            return dataclasses.replace(task, batches=batches).evaluate(point, key)
 
         change, optimizer_state = optimizer.update(
             gradient,
@@ -204,6 +267,7 @@ def fingerprint(task: Task, hashes: Sequence[str], start: Mapping[str, float], s
         [weight.hexdigest() for weight in weights],
         jax.random.key_data(task.key).tolist(),
         steps,
+        None if task.prior is None else (task.prior.center.tolist(), task.prior.curvature),
     )
     return hashlib.sha256(repr(content).encode()).hexdigest()
 
@@ -230,6 +294,7 @@ def save_state(path: str | os.PathLike[str], state: State, mark: str) -> None:
             losses=np.asarray(state.losses),
             trail=np.asarray(state.trail),
             scans=np.asarray(state.scans),
+            scanned=np.asarray(state.scanned),
             **arrays,
         )
 
@@ -255,13 +320,14 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = dict(file)
         found = str(arrays["mark"])
-        leaves = [arrays[f"optimizer_{k}"] for k in range(len(arrays) - 5)]
+        leaves = [arrays[f"optimizer_{k}"] for k in range(len(arrays) - 6)]
         state = State(
             jnp.asarray(arrays["free"]),
             leaves,
             tuple(arrays["losses"].tolist()),
             tuple(tuple(point) for point in arrays["trail"].tolist()),
             int(arrays["scans"]),
+            int(arrays["scanned"]),
         )
         if np.shape(state.free) != np.shape(fresh.free):
             raise ValueError("another number of parameters")
@@ -271,7 +337,7 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
     if found != mark:
         raise ValueError(
             f"{path}: is the state of another fit: frames, start, free parameters, loss, "
-            "settings, number of steps or seed differ; repeat them, or start anew."
+            "settings, prior, number of steps or seed differ; repeat them, or start anew."
         )
     expected, structure = jax.tree.flatten(fresh.optimizer)
     if [np.shape(leaf) for leaf in leaves] != [np.shape(leaf) for leaf in expected]:

@@ -1,6 +1,6 @@
 """Errors of a filter on image pairs, in the settings of the run and with its own noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -10,9 +10,10 @@ from jaxtyping import Array, Float
 
 from .. import metrics
 from ..batch import blur_batch
+from ..frame import Frame
 from ..settings import Settings
 from .objective import draw_noise
-from .pairs import Pair
+from .pairs import Pair, make_pairs
 from .result import Score
 
 
@@ -45,11 +46,12 @@ def images(
 def evaluate(
     filter_name: str,
     parameters: Any,
-    pairs: Sequence[Pair],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     settings: Settings,
     key: jax.Array,
     draws: int,
     labels: tuple[str, str],
+    on_pair: Callable[[], None] | None = None,
 ) -> list[Score]:
     """Score a filter, averaged over draws of noise.
 
@@ -61,12 +63,13 @@ def evaluate(
         key: for the noise, which is the same for all parameters that are compared.
         draws: number of images for each pair.
         labels: part and parameters, as in `Score`.
+        on_pair: called after each pair.
 
     Returns:
         For each pair the whole image and, if anything moves, the pixels that motion reaches.
     """
     scores = []
-    for index, pair in enumerate(pairs):
+    for index, pair in enumerate(make_pairs(pairs)):
         pair_key = jax.random.fold_in(key, index)
         outputs = images(filter_name, parameters, pair, settings, pair_key, draws)
         moving = metrics.motion_footprint(pair.frame)
@@ -74,6 +77,8 @@ def evaluate(
         for region, mask in regions.items():
             if mask.any():
                 scores.append(_score(outputs, pair, mask, (pair.name, *labels, region)))
+        if on_pair is not None:
+            on_pair()
     return scores
 
 
@@ -91,7 +96,7 @@ def _score(
 def display_error(
     filter_name: str,
     parameters: Any,
-    pairs: Sequence[Pair],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     settings: Settings,
     key: jax.Array,
     draws: int,
@@ -111,7 +116,7 @@ def display_error(
     """
     errors = [
         metrics.mse(metrics.display(output), metrics.display(pair.truth))
-        for index, pair in enumerate(pairs)
+        for index, pair in enumerate(make_pairs(pairs))
         for output in images(
             filter_name, parameters, pair, settings, jax.random.fold_in(key, index), draws
         )

@@ -4,6 +4,9 @@ Far from the optimum the loss is flat in some parameters. No descent leaves such
 coarse scan along each parameter does; a second scan, when the other parameters are about right,
 corrects the first. Near the optimum the valleys are narrow, and a first-order
 method creeps along them; with a handful of parameters Newton's method is cheap.
+
+A descent that no longer improves ends before its last step: the first one goes over to the second
+scan, the second one ends the fit.
 """
 
 import dataclasses
@@ -15,7 +18,7 @@ import optax
 from jaxtyping import Array, Float
 
 from .constraints import constraints_of
-from .descent import Progress, State, Task, descend
+from .descent import NEVER, Plateau, Progress, Stage, State, Task, Tell, descend, untold
 from .sensitivity import difference_hessian
 
 OFFSETS = (-3.0, -1.5, 1.5, 3.0)
@@ -37,6 +40,8 @@ def optimize(
     optimizer: optax.GradientTransformation,
     callback: Callable[[Progress], None] | None = None,
     save: Callable[[State], None] | None = None,
+    plateau: Plateau = NEVER,
+    tell: Tell = untold,
 ) -> tuple[State, bool]:
     """Scan and descend, twice; then polish, unless the noise changes from step to step.
 
@@ -47,6 +52,8 @@ def optimize(
         optimizer: an optax transformation.
         callback: called after each step.
         save: see `descend`.
+        plateau: when a descent ends before its last step.
+        tell: called as each stage begins and goes on.
 
     Returns:
         The last state, and whether ctrl-C ended it.
@@ -54,18 +61,37 @@ def optimize(
     Raises:
         FloatingPointError: the loss or its gradient is not finite.
     """
+
+    def on_step(progress: Progress) -> None:
+        if callback is not None:
+            callback(progress)
+        tell(Stage("descent", progress.step, steps))
+
     try:
+        tell(Stage("compiling", 0, 1))
+        task.evaluate(state.free, task.noise_key(0))[0].block_until_ready()
+        tell(Stage("compiling", 1, 1))
         for scans, until in enumerate((round(SECOND_SCAN * steps), steps)):
             if state.scans == scans and len(state.losses) <= until:
-                free = scan_start(task, state.free)
+                free = scan_start(task, state.free, tell)
                 moved = bool((free != state.free).any())
-                restarted = optimizer.init(free) if moved else state.optimizer
-                state = dataclasses.replace(state, free=free, optimizer=restarted, scans=scans + 1)
-            state, interrupted = descend(task, state, steps, optimizer, callback, save, until)
+                state = dataclasses.replace(
+                    state,
+                    free=free,
+                    optimizer=optimizer.init(free) if moved else state.optimizer,
+                    scans=scans + 1,
+                    scanned=len(state.losses),
+                )
+            tell(Stage("descent", len(state.losses), steps))
+            state, interrupted = descend(
+                task, state, steps, optimizer, on_step, save, until, plateau
+            )
             if interrupted:
                 return state, True
+        if plateau.reached(state):
+            state = dataclasses.replace(state, free=settle(task, state, plateau))
         if task.objective.noise != "fresh" or not task.objective.draws_noise:
-            state = dataclasses.replace(state, free=polish(task, state.free))
+            state = dataclasses.replace(state, free=polish(task, state.free, tell))
     except KeyboardInterrupt:
         if save is not None:
             save(state)
@@ -73,22 +99,48 @@ def optimize(
     return state, False
 
 
-def scan_start(task: Task, free: Float[Array, " names"]) -> Float[Array, " names"]:
+def settle(task: Task, state: State, plateau: Plateau) -> Float[Array, " names"]:
+    """Choose the end of a descent that a plateau ended, while its steps were still large.
+
+    Args:
+        task: the fit; the noise is that of the next step.
+        state: its last points went to and fro on the plateau.
+        plateau: that was reached.
+
+    Returns:
+        The best of three: the last point, the point of least loss, the mean over the plateau.
+    """
+    trail = jnp.asarray(state.trail, state.free.dtype)
+    least = trail[int(np.argmin(state.losses))]
+    candidates = (state.free, least, trail[-plateau.patience :].mean(axis=0))
+    key = task.noise_key(len(state.losses))
+    losses = [float(task.evaluate(candidate, key)[0]) for candidate in candidates]
+    return candidates[int(np.argmin(losses))]
+
+
+def scan_start(
+    task: Task, free: Float[Array, " names"], tell: Tell = untold
+) -> Float[Array, " names"]:
     """Move a start along each parameter in turn to the best of a few values.
 
     Args:
         task: the fit; the noise of its first step is used throughout.
         free: the start.
+        tell: called after each value.
 
     Returns:
         A start with no larger loss.
     """
     key = task.noise_key(0)
+    total, done = SWEEPS * free.size * len(OFFSETS), 0
+    tell(Stage("scanning for a start", 0, total))
     best, least = free, float(task.evaluate(free, key)[0])
     for _ in range(SWEEPS):
         before = least
         for index in range(free.size):
             for candidate in [best.at[index].add(offset) for offset in OFFSETS]:
+                done += 1
+                tell(Stage("scanning for a start", done, total))
                 if _at_end(task, candidate, index):
                     continue
                 loss = float(task.evaluate(candidate, key)[0])
@@ -105,19 +157,21 @@ def _at_end(task: Task, free: Float[Array, " names"], index: int) -> bool:
     return constraint.at_end(float(constraint.value(free[index])))
 
 
-def polish(task: Task, free: Float[Array, " names"]) -> Float[Array, " names"]:
+def polish(task: Task, free: Float[Array, " names"], tell: Tell = untold) -> Float[Array, " names"]:
     """Take damped Newton steps for as long as they lower the loss.
 
     Args:
         task: the fit, with noise that does not change.
         free: near the optimum.
+        tell: called before each step.
 
     Returns:
         A point with no larger loss.
     """
     key = task.noise_key(0)
     loss, gradient = task.evaluate(free, key)
-    for _ in range(ROUNDS):
+    for step in range(ROUNDS):
+        tell(Stage("Newton steps", step, ROUNDS))
         hessian = difference_hessian(lambda point: np.asarray(task.evaluate(point, key)[1]), free)
         step = _newton_step(hessian, np.asarray(gradient, np.float64))
         for share in SHARES:

@@ -2,7 +2,8 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import metrics
-from ..frame import Frame, check_frame
+from ..frame import Frame, check_frame, check_frame_type
 from .losses import Pixel, inner_pixels
 from .objective import Batch
 
@@ -41,26 +42,70 @@ class Pair:
         return digest.hexdigest()
 
 
-def make_pairs(pairs: Sequence[tuple[Frame, Any]], names: Sequence[str] | None) -> list[Pair]:
+def make_pairs(
+    pairs: Sequence[Pair | tuple[Frame, Any]], names: Sequence[str] | None = None
+) -> list[Pair]:
     """Check pairs and keep the parts that the fit needs.
 
     Args:
-        pairs: frames with their truth (H, W, C), linear light.
-        names: one for each pair, or None for ``pair 0``, ``pair 1`` and so on.
+        pairs: frames with their truth (H, W, C), linear light; a `Pair` is taken as it is.
+        names: one for each pair, or None for ``pair 0``, ``pair 1`` and so on, and for the names
+            that a `Pair` has.
 
     Returns:
         The pairs; alpha is dropped.
 
     Raises:
-        ValueError: sizes or channels disagree, or a buffer holds NaN or infinity (depth may be
-            ``+inf``).
+        ValueError: an entry is no frame with its truth, sizes or channels disagree, or a buffer
+            holds NaN or infinity (depth may be ``+inf``).
     """
-    names = [f"pair {index}" for index in range(len(pairs))] if names is None else list(names)
-    if len(names) != len(pairs):
+    if isinstance(pairs, Frame | Pair | type | str) or not isinstance(pairs, Iterable):
+        raise ValueError(f"`pairs` must be a list of (frame, truth), got {_kind(pairs)}.")
+    if len(pairs) == 2 and isinstance(pairs[0], Frame) and _is_array(pairs[1]):
+        raise ValueError("`pairs` must be a list of (frame, truth), got one pair; pass [pair].")
+    if names is not None and len(names) != len(pairs):
         raise ValueError(
             f"`names` must hold one name for each of the {len(pairs)} pairs, got {len(names)}."
         )
-    return [_make_pair(name, *pair) for name, pair in zip(names, pairs, strict=True)]
+    return [
+        _checked(index, pair, None if names is None else names[index])
+        for index, pair in enumerate(pairs)
+    ]
+
+
+def _checked(index: int, pair: Any, name: str | None) -> Pair:
+    """A pair as it is, or from a tuple of frame and truth."""
+    if isinstance(pair, Pair):
+        return pair if name is None else dataclasses.replace(pair, name=name)
+    argument = f"pairs[{index}]"
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise ValueError(f"`{argument}` must be (frame, truth), got {_kind(pair)}.")
+    frame, truth = pair
+    if isinstance(truth, Frame) and not isinstance(frame, Frame):
+        raise ValueError(f"`{argument}` must be (frame, truth), got (truth, frame); swap the two.")
+    check_frame_type(frame, f"{argument}[0]")
+    if not _is_array(truth):
+        remedy = "; read the file: jaxblur.exr.read_image(path)"
+        is_path = isinstance(truth, str | os.PathLike)
+        raise ValueError(
+            f"`{argument}[1]` must be the true image, (height, width, channels), got "
+            f"{_kind(truth)}{remedy if is_path else ''}."
+        )
+    return _make_pair(f"pair {index}" if name is None else name, frame, truth)
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray | jax.Array | list | tuple)
+
+
+def _kind(value: Any) -> str:
+    """What something is, for a message."""
+    if isinstance(value, type):
+        return f"the class {value.__name__} itself"
+    if isinstance(value, Frame):
+        return "a Frame without its truth"
+    entries = f" of {len(value)}" if isinstance(value, tuple | list) else ""
+    return f"{type(value).__name__}{entries}"
 
 
 def _make_pair(name: str, frame: Frame, truth: Any) -> Pair:

@@ -15,7 +15,7 @@ from .constraints import constraints_of, to_free, to_values
 from .descent import Task
 from .objective import Objective
 from .optimization import polish
-from .pairs import make_batches, make_pairs, pixel_weights
+from .pairs import Pair, make_batches, make_pairs, pixel_weights
 from .result import FitResult
 
 SPAN = 1.0
@@ -63,7 +63,7 @@ class Profile:
 
 def profile(
     result: FitResult,
-    pairs: Sequence[tuple[Frame, Any]],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     name: str,
     *,
     values: Sequence[float] | np.ndarray | None = None,

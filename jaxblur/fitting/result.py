@@ -49,6 +49,10 @@ class Score:
     flip: float
 
 
+_FIGURES = {"psnr": (" in dB", 2, 1), "ssim": ("", 4, 1), "flip": ("", 4, -1)}
+"""Unit, digits that are printed, and 1 if larger is better."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
     """Standard errors of the fitted parameters; see `jaxblur.fitting.sensitivity`.
@@ -62,6 +66,10 @@ class Sensitivity:
         curvature: second derivatives of the loss in the unconstrained parameters, names x names.
         flags: warnings in words, empty if all is well.
         blocks: number of blocks of pixels that the errors are estimated from.
+        profile_changes: by which share of itself the loss changes between half and double the
+            value, or over an interval; the larger change of the two.
+        undetermined: names of the parameters that are not determined, each with a flag that says
+            why.
     """
 
     names: tuple[str, ...]
@@ -71,6 +79,8 @@ class Sensitivity:
     curvature: tuple[tuple[float, ...], ...]
     flags: tuple[str, ...]
     blocks: int
+    profile_changes: tuple[float, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +109,7 @@ class FitResult:
         published: the default parameters of the filter.
         free: names of the fitted parameters.
         minimized: the objective in one sentence.
-        objective: its choices: loss, pixel, mask, noise, noise_draws, seed.
+        objective: its choices: loss, pixel, mask, noise, noise_draws, seed, prior.
         settings: of the filter run, by name.
         notes: additions of the caller, such as how the frames were read.
         steps: number of steps done.
@@ -109,6 +119,10 @@ class FitResult:
         sensitivity: None if interrupted.
         data: the pairs.
         versions: of the software.
+        plateau: number of steps after which the descent stopped because it no longer improved;
+            None if it took all of them.
+        warnings: what a reader of the result must know, in words: the flags of the sensitivity, and
+            scores that the fit made worse. Empty if all is well.
     """
 
     filter: str
@@ -117,7 +131,7 @@ class FitResult:
     published: dict[str, float]
     free: tuple[str, ...]
     minimized: str
-    objective: dict[str, str | int]
+    objective: dict[str, str | int | float]
     settings: dict[str, str | int | float]
     notes: dict[str, str | int | float]
     steps: int
@@ -127,6 +141,8 @@ class FitResult:
     sensitivity: Sensitivity | None
     data: tuple[Data, ...]
     versions: dict[str, str]
+    plateau: int | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def filter_parameters(self) -> Any:
@@ -157,6 +173,28 @@ class FitResult:
             if (score.part, score.parameters, score.region) == wanted
         ]
         return math.fsum(found) / len(found) if found else math.nan
+
+    def losses_by_fitting(self) -> tuple[str, ...]:
+        """Scores that are worse with the fitted parameters than with the published ones, in words.
+
+        Over the pixels that motion reaches, where anything moves, else over whole images; training
+        and held-out pairs apart. Differences that vanish when they are printed do not count.
+        """
+        found = []
+        for part in dict.fromkeys(score.part for score in self.scores):
+            moving = any((s.part, s.region) == (part, "moving") for s in self.scores)
+            region = "moving" if moving else "whole"
+            for figure, (unit, digits, sign) in _FIGURES.items():
+                before, after = (
+                    self.mean_score(figure, part, parameters, region)
+                    for parameters in ("published", "fitted")
+                )
+                if sign * round(after - before, digits) < 0:
+                    found.append(
+                        f"{part}: {figure.upper()}{unit} is worse with the fitted parameters than "
+                        f"with the published ones, {after:.{digits}f} against {before:.{digits}f}"
+                    )
+        return tuple(found)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the result as TOML, whole or not at all.
@@ -304,11 +342,14 @@ def _decode_record(kind: Any, value: Any, where: str) -> Any:
     prefix = f"{where}." if where else ""
     hints = typing.get_type_hints(kind)
     # TOML has no form for empty sequences of tables and for None.
-    absent = {
+    absent: dict[str, Any] = {
         name: None if types.NoneType in typing.get_args(hint) else ()
         for name, hint in hints.items()
         if types.NoneType in typing.get_args(hint) or name == "scores"
     }
+    # Fields with a default are newer than the first files.
+    fields = dataclasses.fields(kind)
+    absent |= {f.name: f.default for f in fields if f.default is not dataclasses.MISSING}
     for name in table.keys() - hints.keys():
         raise ValueError(f"unknown key `{prefix}{name}`; remove it.")
     for name in hints.keys() - table.keys() - absent.keys():

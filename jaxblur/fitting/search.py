@@ -11,7 +11,7 @@ import numpy as np
 
 from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
-from ..settings import Settings
+from ..settings import Settings, checked_settings
 from ..vectors import speed_statistics
 from .evaluation import display_error
 from .pairs import Pair, make_pairs
@@ -53,7 +53,7 @@ class SettingsSearch:
 
 def search_settings(
     filter: str | Callable[..., Any],
-    pairs: Sequence[tuple[Frame, Any]],
+    pairs: Sequence[Pair | tuple[Frame, Any]],
     parameters: Any = None,
     *,
     samples: Sequence[int] = (9, 15, 25, 35),
@@ -94,8 +94,9 @@ def search_settings(
     if (budget_ms is None) == (tolerance is None):
         raise ValueError("give either `budget_ms` or `tolerance`.")
     info = filter_info(filter)
-    parameters = info.make_parameters() if parameters is None else parameters
+    parameters = info.checked_parameters(parameters)
     base = info.settings if settings is None else settings
+    base = checked_settings(base, info.kind, info.name)
     key = jax.random.key(0) if key is None else key
     checked = make_pairs(pairs, None)
     radii = [_automatic(checked) if r == "auto" else r for r in radius]

@@ -17,17 +17,29 @@ gradient itself ignores taps that jump across a silhouette, because velocity and
 are read at the nearest texel: for parameters that move the taps (gamma, phi) the curvature was
 found too small by up to a half, and the standard error then is too large. `profile` takes no
 derivative and is the check.
+
+A small standard error alone does not make a parameter determined. In a flat valley, or where the
+filter has switched off what the parameter controls, gradients and curvature both vanish and their
+ratio may be anything. So the loss is also evaluated at half and at double the value, or at both
+ends of an interval (``Constraint.around``), and every parameter has a useful range
+(`jaxblur.ParameterInfo`).
+
+With a prior, H is the Hessian of the minimized sum, so that errors are those of the result. What
+the frames determine, and profiles, are those of the loss without the prior.
 """
 
-from collections.abc import Callable
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .constraints import constraints_of, to_values
-from .descent import Task
+from .constraints import constraints_of, to_free, to_values
+from .descent import Stage, Task, Tell, untold
 from .objective import blocks_and_gradients
 from .result import Sensitivity
 
@@ -38,6 +50,8 @@ FLAT = 1e-6
 """Curvature, as a share of the largest, below which a direction counts as undetermined."""
 UNSURE = 0.5
 ENTANGLED = 0.95
+FLAT_PROFILE = 0.005
+"""Share of the loss by which a parameter must change it to count as determined."""
 
 
 def difference_hessian(
@@ -85,24 +99,32 @@ def sandwich(
     return inverse @ meat @ inverse, lost < 0.01
 
 
-def sensitivity(task: Task, free: Float[Array, " names"], key: jax.Array) -> Sensitivity:
+def sensitivity(
+    task: Task, free: Float[Array, " names"], key: jax.Array, tell: Tell = untold
+) -> Sensitivity:
     """Standard errors, correlations and warnings for fitted parameters.
 
     Args:
         task: the fit.
         free: the optimum found.
         key: for the noise that curvature and gradients are averaged over.
+        tell: called as each stage begins and goes on.
 
     Returns:
         The figures; see the module for what a standard error means.
     """
+    total, done = 2 * free.size + 1, 0
+    tell(Stage("standard errors", 0, total))
 
     def blocks(point: jax.Array) -> np.ndarray:
+        nonlocal done
         draws = DRAWS if task.objective.draws_noise else 1
         parts = [
             blocks_and_gradients(task.objective, point, task.fixed, task.batches, draw)[1]
             for draw in jax.random.split(key, draws)
         ]
+        done += 1
+        tell(Stage("standard errors", done, total))
         return np.mean(np.asarray(parts, np.float64), axis=0)
 
     hessian = difference_hessian(lambda point: blocks(point).sum(axis=0), free)
@@ -110,21 +132,62 @@ def sensitivity(task: Task, free: Float[Array, " names"], key: jax.Array) -> Sen
     # Blocks without weight or motion carry no information about the spread.
     shares = shares[np.abs(shares).any(axis=1)]
     covariance, determined = sandwich(hessian, shares)
+    if task.prior is not None:
+        minimized = hessian + task.prior.curvature * np.eye(free.size)
+        covariance, _ = sandwich(minimized, shares)
     errors = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
     if 0 < len(shares) < 2 * len(errors):
         errors = np.where(determined, np.nan, errors)
     slopes, values = _slopes(task, free)
     relative = errors * slopes / values
     correlation = _correlation(covariance, errors)
+    changes = profile_changes(task, free, key, tell)
+    flags = _flags_of_parameters(task, relative, values, changes)
     return Sensitivity(
         names=task.objective.free,
         standard_error=tuple((errors * slopes).tolist()),
         relative_error=tuple(relative.tolist()),
         correlation=_tuples(correlation),
         curvature=_tuples(hessian),
-        flags=tuple(_flags(task, relative, values, correlation)),
+        flags=(*flags.values(), *_flags_of_pairs(task.objective.free, relative, correlation)),
         blocks=len(shares),
+        profile_changes=tuple(changes),
+        undetermined=tuple(flags),
     )
+
+
+def profile_changes(
+    task: Task, free: Float[Array, " names"], key: jax.Array, tell: Tell = untold
+) -> list[float]:
+    """How much each parameter matters: the change of the loss over its neighborhood.
+
+    Args:
+        task: the fit; its prior is left out.
+        free: the optimum found.
+        key: for the noise, the same at all values.
+        tell: called after each value.
+
+    Returns:
+        For each parameter the larger change of the loss at half and at double its value, or at both
+        ends of an interval, the others held; as a share of the loss at the optimum.
+    """
+    name, names = task.objective.filter_name, task.objective.free
+    values, table = task.parameters(free), constraints_of(name)
+    frames_only = dataclasses.replace(task, prior=None)
+    total, done = 2 * len(names), 0
+    tell(Stage("profiles", 0, total))
+    here = float(frames_only.evaluate(free, key)[0])
+    changes = []
+    for index, entry in enumerate(names):
+        losses = []
+        for value in table[entry].around(values[entry]):
+            point = free.at[index].set(to_free(name, {entry: value}, [entry])[0])
+            losses.append(float(frames_only.evaluate(point, key)[0]))
+            done += 1
+            tell(Stage("profiles", done, total))
+        largest = max(abs(loss - here) for loss in losses)
+        changes.append(largest / here if here > 0 else math.inf if largest > 0 else 0.0)
+    return changes
 
 
 def _slopes(task: Task, free: jax.Array) -> tuple[np.ndarray, np.ndarray]:
@@ -150,25 +213,44 @@ def _tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-def _flags(
-    task: Task, relative: np.ndarray, values: np.ndarray, correlation: np.ndarray
-) -> list[str]:
-    names, flags = task.objective.free, []
+def _flags_of_parameters(
+    task: Task, relative: np.ndarray, values: np.ndarray, changes: Sequence[float]
+) -> dict[str, str]:
+    """Why a parameter is not determined, by name; those that are have no entry."""
+    infos = task.objective.filter.parameter_infos
     table = constraints_of(task.objective.filter_name)
-    for name, share, value in zip(names, relative, values, strict=True):
-        if np.isnan(share):
-            flags.append(f"{name}: too few moving tiles for a standard error; give more frames")
+    flags = {}
+    entries = zip(task.objective.free, relative, values.tolist(), changes, strict=True)
+    for name, share, value, change in entries:
+        reason = infos[name].useless(value)
+        first, last = table[name].around(value)
+        if reason:
+            flags[name] = f"{name} {value:.3g}: at the end of its useful range, {reason}"
         elif np.isinf(share):
-            flags.append(
+            flags[name] = (
                 f"{name}: the loss has no minimum along it here: not determined, or too few steps"
             )
+        elif change < FLAT_PROFILE:
+            flags[name] = (
+                f"{name} {value:.3g}: its profile is flat: from {first:.3g} to {last:.3g} the loss "
+                f"changes by {100 * change:.2g} %: not determined by these frames"
+            )
         elif share > UNSURE:
-            flags.append(f"{name}: ±{100 * share:.0f} %: not determined by these frames")
-        if table[name].at_end(value):
-            flags.append(
+            flags[name] = f"{name}: ±{100 * share:.0f} %: not determined by these frames"
+        elif table[name].at_end(value):
+            flags[name] = (
                 f"{name}: reached the end of its range, {value:.3g}; its error means little"
             )
-    for row, column in zip(*np.triu_indices(len(names), 1), strict=True):
+        elif np.isnan(share):
+            flags[name] = f"{name}: too few moving tiles for a standard error; give more frames"
+    return flags
+
+
+def _flags_of_pairs(
+    names: Sequence[str], relative: np.ndarray, correlation: np.ndarray
+) -> list[str]:
+    flags = []
+    for row, column in itertools.combinations(range(len(names)), 2):
         unsure = min(relative[row], relative[column]) > 1 - ENTANGLED
         if unsure and abs(correlation[row, column]) > ENTANGLED:
             flags.append(

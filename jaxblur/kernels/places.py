@@ -1,8 +1,8 @@
 """The derivative in the place at which a program reads.
 
 A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
-texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls anywhere
-between two texels, changes smoothly. The derivative of that mean is the one of an interpolation
+texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls
+anywhere between two texels, changes smoothly. The derivative of that mean is the one of an interpolation
 between the results, with ``a = o - n`` and s = -1 or 1 the side of the texel's middle on which o
 lies:
 

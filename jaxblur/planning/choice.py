@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 from ..filters.registry import filter_info
-from ..frame import Frame
+from ..frame import Frame, check_frame_type
 from ..settings import Settings
 from .statistics import FrameStatistics, frame_statistics
 
@@ -114,6 +114,7 @@ def plan(
     _check_limits(budget_ms, tolerance_db, machine_speed)
     statistics = frame_or_statistics
     if not isinstance(statistics, FrameStatistics):
+        check_frame_type(statistics, "frame_or_statistics")
         statistics = frame_statistics(statistics)
     candidates = _predict(statistics, machine_speed)
     if not statistics.moves:

@@ -27,6 +27,7 @@ from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over,
 from ...noise import Noise, resolve_noise
 from ...safe_math import safe_norm, shortening
 from ...settings import Settings, checked_settings
+from .._arguments import takes
 from .._masking import honoring_mask
 from .._sampling import Texel, find_texel, path_samples, read_color, read_color_along
 from .._weights import SPEED_FLOOR, anything_moves
@@ -389,6 +390,7 @@ def _layered(
     )
 
 
+@takes(LayeredParameters, Settings)
 def layered(
     frame: Frame,
     parameters: LayeredParameters,

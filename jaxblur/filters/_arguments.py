@@ -1,0 +1,121 @@
+"""What a filter accepts: its own parameters and settings, a frame, noise; and errors for the rest.
+
+The checks look at types only, so that they work while a filter is traced, and accept subclasses.
+They stand before `jax.jit`, whose errors for a foreign object name neither argument nor remedy.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+
+from ..frame import check_frame_type
+from ..noise import Noise
+from ..settings import Settings, checked_settings
+from .parameters import check_parameters_type
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_BY_POSITION = ("frame", "parameters")
+
+
+def takes(parameters: type | None, settings: type[Settings]) -> Callable[..., Any]:
+    """Make a filter check the types of its arguments before anything else.
+
+    Args:
+        parameters: the class of its parameters, or None if it has none.
+        settings: the class of its settings.
+
+    Returns:
+        A decorator of a filter ``(frame, parameters, *, settings, noise)``. The decorated filter
+        raises ValueError for an argument of another type, and TypeError for one that is missing,
+        unknown, or given by position though it has a name.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        name = function.__name__
+
+        @functools.wraps(function)
+        def checked(*given: P.args, **options: P.kwargs) -> R:
+            _check_form(name, parameters, settings, given, options)
+            values = dict(zip(_BY_POSITION, given, strict=False)) | options
+            _check_types(name, parameters, settings, values)
+            return function(*given, **options)
+
+        return checked
+
+    return decorate
+
+
+def _check_form(
+    name: str,
+    parameters: type | None,
+    settings: type[Settings],
+    given: tuple[Any, ...],
+    options: Mapping[str, Any],
+) -> None:
+    """Reject arguments that are missing, unknown, or given by position though they have a name."""
+    example = "frame" if parameters is None else f"frame, {parameters.__name__}()"
+    if any(isinstance(value, Settings) for value in given):
+        raise TypeError(
+            f"`settings` of {name} must be given by name: {name}({example}, settings=...)."
+        )
+    if len(given) > len(_BY_POSITION):
+        raise TypeError(
+            f"{name} takes `frame` and `parameters` by position and the rest by name, got "
+            f"{len(given)} by position: {name}({example}, settings=..., noise=...)."
+        )
+    for option in options:
+        if option not in (*_BY_POSITION, "settings", "noise"):
+            raise TypeError(_unknown_option(name, option, parameters, settings))
+    there = (*_BY_POSITION[: len(given)], *options)
+    if "frame" not in there:
+        raise TypeError(f"`frame` of {name} is missing: {name}({example}).")
+    if "parameters" not in there and parameters is not None:
+        raise TypeError(
+            f"`parameters` of {name} are missing: {name}({example}); {parameters.__name__}() are "
+            "the defaults."
+        )
+
+
+def _check_types(
+    name: str, kind: type | None, settings: type[Settings], values: Mapping[str, Any]
+) -> None:
+    """Reject values of another type."""
+    check_frame_type(values["frame"])
+    parameters = values.get("parameters")
+    check_parameters_type(parameters, kind, name)
+    if parameters is not None and jax.tree_util.all_leaves([parameters]):
+        given = type(parameters).__name__
+        raise ValueError(
+            f"`parameters` must be known to jax, but {given} is not; put "
+            f"@jax.tree_util.register_dataclass above {given}."
+        )
+    if "settings" in values:
+        checked_settings(values["settings"], settings, name)
+    noise = values.get("noise")
+    if noise is not None and not isinstance(noise, Noise):
+        raise ValueError(
+            f"`noise` must be a jaxblur.Noise or None, got {type(noise).__name__}; pass "
+            "jaxblur.Noise(tap, tile)."
+        )
+
+
+def _unknown_option(
+    name: str, option: str, parameters: type | None, settings: type[Settings]
+) -> str:
+    if option in {field.name for field in dataclasses.fields(settings)}:
+        return (
+            f"`{option}` is a setting of {name}: pass settings={settings.__name__}({option}=...)."
+        )
+    if parameters is not None and option in {f.name for f in dataclasses.fields(parameters)}:
+        return (
+            f"`{option}` is a parameter of {name}: pass {parameters.__name__}({option}=...) as "
+            "`parameters`."
+        )
+    return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."
