@@ -2,9 +2,9 @@
 
 A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
 texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls
-anywhere between two texels, changes smoothly. The derivative of that mean is the one of an interpolation
-between the results, with ``a = o - n`` and s = -1 or 1 the side of the texel's middle on which o
-lies:
+anywhere between two texels, changes smoothly. The derivative of that mean is the one of an
+interpolation between the results, with ``a = o - n`` and s = -1 or 1 the side of the texel's middle
+on which o lies:
 
     B(o) = f(n) + 4 |a|^3 (f(n + s) - f(n)),    dB/do = 12 a^2 s (f(n + s) - f(n)).
 
@@ -209,6 +209,6 @@ class _Stage:
         ]
         held = [results[k] for k in place.results]
         return [
-            sum(share * (values[k] - own) for share, values in corners)
+            functools.reduce(jnp.add, [share * (values[k] - own) for share, values in corners])
             for k, own in enumerate(held)
         ]

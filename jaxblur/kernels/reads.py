@@ -4,8 +4,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import ShapedArray
+from jax.dtypes import float0
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.typing import ArrayLike
@@ -54,7 +56,7 @@ mlir.register_lowering(place_primitive, mlir.lower_fun(_rounded, multiple_result
 
 def _rounded_jvp(primals: Any, _: Any, *, blends: bool) -> tuple[Any, Any]:
     wholes = place_primitive.bind(*primals, blends=blends)
-    return wholes, [ad.Zero.from_primal_value(whole) for whole in wholes]
+    return wholes, [np.zeros(whole.shape, float0) for whole in wholes]
 
 
 def _rounded_batched(operands: Any, axes: Any, *, blends: bool) -> tuple[Any, list[int]]:
