@@ -7,7 +7,7 @@ import typing
 from typing import Literal, TypeVar
 
 Border = Literal["skip", "clamp"]
-Fetch = Literal["nearest", "bilinear"]
+Fetch = Literal["nearest", "bilinear", "blend"]
 TileChoice = Literal["stochastic", "own", "expected"]
 Split = Literal["even", "variance"]
 NoiseKind = Literal["ign", "halton", "none"]
@@ -31,8 +31,11 @@ class Settings:
             shorter paths take fewer samples, at least five. 0 takes all of them everywhere, as
             published; 0.7 costs less than 0.1 dB.
         border: ``skip`` gives taps outside the image no weight; ``clamp`` reads the edge texel.
-        fetch: how *color* is read at a tap; velocity and depth always come from the nearest
-            texel, because interpolating opposed velocities cancels them.
+        fetch: what a tap reads. ``nearest``: the nearest texel. ``bilinear``: color mixed of the
+            texels around it, velocity and depth of the nearest one, because interpolating opposed
+            velocities cancels them. ``blend``: what the tap adds to the sums is computed for each
+            of the four texels around it and then mixed, so that the picture has no jumps as taps
+            move; takes half as much time again.
         noise: built-in noise used when none is passed: interleaved gradient noise, Halton, none.
         backend: how the samples are summed: on a CPU ``native`` code, compiled on first use and
             kept in the user's cache folder, needs a C++ compiler and float32; ``xla`` runs

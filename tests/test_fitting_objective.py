@@ -29,7 +29,7 @@ from tests.planted import TRUE
 
 FREE = ("kappa", "gamma", "tau", "phi", "depth_sharpness")
 SHAPE = (13, 17)
-RUN = jaxblur.GuertinSettings(samples=5, radius=6, fetch="bilinear")
+RUN = jaxblur.GuertinSettings(samples=5, radius=6, fetch="blend")
 
 
 def as_float64(frame):
@@ -144,7 +144,7 @@ def test_settings_are_made_differentiable_only_where_needed():
     assert objective(settings=nearest, free=("kappa", "tau")).smooth_settings == (
         dataclasses.replace(nearest, tile_choice="expected")
     )
-    assert objective(settings=nearest, free=("phi",)).smooth_settings.fetch == "bilinear"
+    assert objective(settings=nearest, free=("phi",)).smooth_settings.fetch == "nearest"
     own = dataclasses.replace(nearest, tile_choice="own")
     assert objective(settings=own, free=("kappa",)).smooth_settings == own
 
@@ -154,7 +154,7 @@ def test_settings_are_made_differentiable_only_where_needed():
     [
         ({}, "mse error expected over the random outcomes; fixed noise, 1 a step"),
         ({"over": "mean"}, "of the mean image over the random outcomes"),
-        ({"settings": jaxblur.GuertinSettings()}, "color read bilinear (in place of nearest)"),
+        ({"settings": jaxblur.GuertinSettings()}, "; fetch nearest"),
         ({"settings": jaxblur.GuertinSettings(noise="none")}, "; no noise;"),
         ({"settings": jaxblur.GuertinSettings(tile_choice="own")}, "mse error of the image;"),
     ],

@@ -7,7 +7,7 @@ from jax.scipy.ndimage import map_coordinates
 import jaxblur
 from jaxblur.filters import _sampling as sampling
 from jaxblur.kernels import At, Image
-from jaxblur.settings import Border
+from jaxblur.settings import Border, Settings
 
 
 def test_taps_are_evenly_spaced_inside_the_line():
@@ -20,7 +20,9 @@ def test_taps_are_evenly_spaced_inside_the_line():
 def find(offset_x, offset_y, size, border: Border = "skip"):
     """Texels of every pixel, (H, W, n)."""
     row, column = (jnp.asarray(place)[..., None] for place in np.indices(size))
-    return sampling.find_texel(At(row, column), offset_x, offset_y, Image(jnp.zeros(size)), border)
+    return sampling.find_texel(
+        At(row, column), offset_x, offset_y, Image(jnp.zeros(size)), Settings(border=border)
+    )
 
 
 def read_at(offset_x, offset_y, size, border: Border = "skip"):

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ..kernels import At, Image, nearest_place
-from ..settings import Border, Fetch, Settings
+from ..settings import Fetch, Settings
 
 FEWEST = 5
 """Least number of samples of a path."""
@@ -81,7 +81,7 @@ def find_texel(
     offset_x: Float[Array, "*shape"],
     offset_y: Float[Array, "*shape"],
     image: Image,
-    border: Border,
+    settings: Settings | None = None,
 ) -> Texel:
     """The texel nearest to ``pixel + offset``: ``floor(p + offset + 1/2)`` per axis.
 
@@ -93,16 +93,18 @@ def find_texel(
         offset_x: from the pixel, in pixels to the right.
         offset_y: in pixels downward.
         image: its size counts; all images of this size have the same texel.
-        border: see `jaxblur.Settings`.
+        settings: border and fetch count; the edge texel and the nearest one if None.
 
     Returns:
         The texel.
     """
-    right, down = nearest_place(offset_x, offset_y)
+    blends = settings is not None and settings.fetch == "blend"
+    right, down = nearest_place(offset_x, offset_y, blends)
     x, y = at.column + right, at.row + down
     near_x, near_y = jnp.clip(x, 0, image.width - 1), jnp.clip(y, 0, image.height - 1)
     inside = (near_x == x) & (near_y == y)
-    counts = inside if border == "skip" else jnp.ones_like(inside)
+    skips = settings is not None and settings.border == "skip"
+    counts = inside if skips else jnp.ones_like(inside)
     index = near_y * image.width + near_x
     return Texel(index, counts, x, y, offset_x - right, offset_y - down)
 
@@ -125,12 +127,12 @@ def read_color(image: Image, texel: Texel, fetch: Fetch) -> tuple[Float[Array, "
     Args:
         image: color.
         texel: where to read.
-        fetch: ``nearest`` or ``bilinear``.
+        fetch: see `jaxblur.Settings`; under ``blend`` too a texel is read alone.
 
     Returns:
         One value a channel.
     """
-    if fetch == "nearest":
+    if fetch != "bilinear":
         return image.read_texel(texel.number)
     (right, across), (below, down) = _toward(texel.across), _toward(texel.down)
     columns = [jnp.clip(texel.column + k, 0, image.width - 1) for k in (0, right)]

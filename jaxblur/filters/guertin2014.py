@@ -175,7 +175,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
         direction = [jnp.where(second, *pair) for pair in zip(center, along, strict=True)]
         position = tap_position(i, count, jitter) * reach
         texel = find_texel(
-            *(at, position * direction[0], position * direction[1], images.color, settings.border)
+            *(at, position * direction[0], position * direction[1], images.color, settings)
         )
         other = Motion(*images.motion.read_texel(texel.number))
 
@@ -474,8 +474,8 @@ def guertin2014(
     Returns:
         (H, W, C) blurred color, within the range of the colors gathered; pixels whose
         neighborhood moves by half a pixel or less are returned bit for bit. Differentiable in
-        every input; tau needs ``tile_choice="expected"``; gamma, phi and velocity move the samples,
-        which changes the colors that are read under ``fetch="bilinear"`` only.
+        every input; tau needs ``tile_choice="expected"``. Where gamma, phi and velocity move the
+        samples, the derivative is that of `jaxblur.kernels.places`.
 
     Raises:
         ValueError: shapes disagree, a parameter is not a scalar, or the settings are those of

@@ -98,9 +98,10 @@ def blur_pixel(
         i = jnp.where(2 * i >= count - 1, i + 1, i)
         position = tap_position(i, count, jitter)
         offset_x, offset_y = (position * step for step in dominant)
-        texel = find_texel(at, offset_x, offset_y, images.color, settings.border)
-        if settings.fetch == "nearest":
-            offset_x, offset_y = jnp.floor(offset_x + 0.5), jnp.floor(offset_y + 0.5)
+        texel = find_texel(at, offset_x, offset_y, images.color, settings)
+        if settings.fetch != "bilinear":
+            offset_x = (texel.column - at.column).astype(position.dtype)
+            offset_y = (texel.row - at.row).astype(position.dtype)
         distance = safe_norm(offset_x, offset_y)
         other = Motion(*images.motion.read_texel(texel.number))
 

@@ -26,8 +26,6 @@ class ParameterInfo:
         includes_low: whether ``low`` itself is allowed. Fits stay above it in either case.
         meaning: a few words for the help.
         unit: of the value; empty for a plain number.
-        moves_taps: whether it moves the places that color is read at. A fit of such a parameter
-            reads color bilinearly: the nearest texel has no derivative in the place.
         free: whether `jaxblur.fit` fits it unless told otherwise.
         useful: lower and upper end of the values that make a difference, within the range that is
             allowed; infinite where there is no such end. A fit that ends there found no value: what
@@ -42,7 +40,6 @@ class ParameterInfo:
     includes_low: bool
     meaning: str
     unit: str = ""
-    moves_taps: bool = False
     free: bool = True
     useful: tuple[float, float] = (-math.inf, math.inf)
     ends: tuple[str, str] = ("", "")
@@ -107,7 +104,6 @@ def parameter(
     high: float = math.inf,
     meaning: str,
     unit: str = "",
-    moves_taps: bool = False,
     free: bool = True,
     useful: tuple[float, float] = (-math.inf, math.inf),
     ends: tuple[str, str] = ("", ""),
@@ -123,7 +119,6 @@ def parameter(
         high: upper end of the range, allowed itself.
         meaning: a few words for the help.
         unit: of the value; empty for a plain number.
-        moves_taps: see `ParameterInfo`.
         free: whether `jaxblur.fit` fits it unless told otherwise.
         useful: see `ParameterInfo`.
         ends: see `ParameterInfo`.
@@ -150,7 +145,6 @@ def parameter(
         includes_low=above is None,
         meaning=meaning,
         unit=unit,
-        moves_taps=moves_taps,
         free=free,
         useful=useful,
         ends=ends,
@@ -257,7 +251,6 @@ class GuertinParameters:
         above=0.0,
         meaning="speed over which the second direction turns",
         unit="px",
-        moves_taps=True,
         useful=(0.1, 1e3),
         ends=(
             "the second direction is the pixel's own velocity at any speed",
@@ -278,7 +271,6 @@ class GuertinParameters:
         low=0.0,
         meaning="largest jitter of the samples",
         unit="spacings",
-        moves_taps=True,
         free=False,
         useful=(0.003, 30.0),
         ends=("the jitter is switched off", "the jitter is as long as the path"),
@@ -287,7 +279,6 @@ class GuertinParameters:
         27.0,
         low=0.0,
         meaning="number of samples that eta refers to",
-        moves_taps=True,
         useful=(0.1, 1e3),
         ends=("the jitter is switched off", "the jitter is as long as the path"),
     )
@@ -379,7 +370,6 @@ class LayeredParameters:
         low=0.0,
         high=1.0,
         meaning="how much its own velocities bend a pixel's path",
-        moves_taps=True,
         useful=(0.02, math.inf),
         ends=("paths are not bent", ""),
     )
@@ -388,7 +378,6 @@ class LayeredParameters:
         low=0.0,
         high=1.0,
         meaning="noise of the taps, share of a stratum",
-        moves_taps=True,
         useful=(0.02, math.inf),
         ends=("the jitter is switched off", ""),
     )
@@ -397,7 +386,6 @@ class LayeredParameters:
         above=0.0,
         meaning="difference from which two velocities count as two",
         unit="px",
-        moves_taps=True,
         useful=(0.01, 30.0),
         ends=("all velocities count as different", "no two velocities count as different"),
     )
@@ -406,7 +394,6 @@ class LayeredParameters:
         above=0.0,
         high=1.0,
         meaning="least share of a pixel that thin objects cover",
-        moves_taps=True,
         useful=(0.02, 0.98),
         ends=("any share counts as an object's", "vectors of thin objects stay as they are"),
     )

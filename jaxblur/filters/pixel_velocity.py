@@ -51,7 +51,7 @@ def blur_pixel(at: At, images: Images, _: None, settings: Settings) -> Outcome:
     def sample(i: Int[Array, ""]) -> Sums:
         position = tap_position(i, count, jitter)
         texel = find_texel(
-            *(at, position * velocity_x, position * velocity_y, images.color, settings.border)
+            *(at, position * velocity_x, position * velocity_y, images.color, settings)
         )
         counts = (texel.counts & (i < count)).astype(position.dtype)
         colors = read_color(images.color, texel, settings.fetch)
@@ -107,7 +107,7 @@ def pixel_velocity(
 
     Returns:
         (H, W, C) blurred color, within the range of the input; pixels that move by half a pixel
-        or less are returned bit for bit. Differentiable in color, and under bilinear fetch in
+        or less are returned bit for bit. Differentiable in color and
         velocity.
 
     Raises:

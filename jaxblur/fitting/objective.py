@@ -61,13 +61,9 @@ class Objective:
     def smooth_settings(self) -> Settings:
         """The settings in which the loss is evaluated: those of the run, made differentiable.
 
-        A random choice becomes its exact expectation. Color is read bilinearly if a free parameter
-        moves the taps, because the nearest texel has no derivative in the position of the tap.
+        A random choice becomes its exact expectation.
         """
-        settings = self.filter.smooth_settings(self.settings)
-        if any(self.filter.parameter_infos[name].moves_taps for name in self.free):
-            settings = dataclasses.replace(settings, fetch="bilinear")
-        return settings
+        return self.filter.smooth_settings(self.settings)
 
     @property
     def draws_noise(self) -> bool:
@@ -87,9 +83,7 @@ class Objective:
             noise = f"{self.noise} noise, {self.noise_draws} a step"
         if self.settings.noise == "none":
             noise = "no noise"
-        fetch = self.smooth_settings.fetch
-        stands = "" if fetch == self.settings.fetch else f" (in place of {self.settings.fetch})"
-        return f"{self.pixel} error {outcomes}; {noise}; color read {fetch}{stands}"
+        return f"{self.pixel} error {outcomes}; {noise}; fetch {self.settings.fetch}"
 
 
 @jax.tree_util.register_dataclass

@@ -149,7 +149,7 @@ def blur_pixel(
         time_squared = time * time
         offset_x = time_squared * bend_x - time * way_x
         offset_y = time_squared * bend_y - time * way_y
-        texel = find_texel(at, offset_x, offset_y, images.color, settings.border)
+        texel = find_texel(at, offset_x, offset_y, images.color, settings)
         read_x, read_y, depth = images.motion.read_texel(texel.number, 3)
         apart_x, apart_y = read_x - way_x + time * turn_x, read_y - way_y + time * turn_y
         apart = jnp.square(apart_x) + jnp.square(apart_y)
@@ -295,7 +295,7 @@ def half_acceleration(at: At, path: Image | None, taken: Array, radius: int) -> 
     if path is None:
         return None
     across, down = taken_from(taken)
-    index = find_texel(at, across, down, path, "clamp").number
+    index = find_texel(at, across, down, path).number
     opening_x, opening_y, closing_x, closing_y = path.read_texel(index)
     x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
     # No longer than the radius, so that samples have a farthest place, and shorter by as much as
@@ -311,7 +311,7 @@ def turn_along(at: At, motion: Image, pixel: Motion, sharpness: float | Array) -
     squared = jnp.square(x) + jnp.square(y)
 
     def change(side: float) -> tuple[Array, Array, Array]:
-        index = find_texel(at, side * x, side * y, motion, "clamp").number
+        index = find_texel(at, side * x, side * y, motion).number
         near_x, near_y, depth = motion.read_texel(index, 3)
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - pixel.log_depth) * sharpness
@@ -410,12 +410,14 @@ def layered(
         settings: samples (three to a slice, the rest left over), radius, spacing, border, fetch,
             noise and backend. ``bilinear`` mixes the two texels next to the guess along the own
             velocity, along the axis that it follows more; the other guesses read the nearest texel.
+            ``blend`` mixes what a slice adds for the four texels next to a guess, one guess at a
+            time, the others at their nearest texel.
         noise: replaces the built-in noise; only ``tap`` is used.
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
-        are returned bit for bit. Differentiable in every input; a change of a sample's place
-        changes the colors that are read under ``fetch="bilinear"`` only.
+        are returned bit for bit. Differentiable in every input, but for the number of slices
+        and the velocities that are found to reach a tile.
 
     Raises:
         ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
