@@ -14,6 +14,7 @@ NoiseKind = Literal["ign", "halton", "none"]
 Directions = Literal["two", "one"]
 DirectionWeights = Literal["on", "off"]
 DiagonalTiles = Literal["reaching", "all"]
+Dominant = Literal["max", "soft"]
 Backend = Literal["auto", "native", "xla"]
 
 
@@ -91,6 +92,13 @@ class GuertinSettings(Settings):
             direction of the tap.
         diagonal_tiles: which diagonal tiles count in the dominant velocity: those whose velocity
             is ``reaching`` the tile (section 3.4.4), or ``all``.
+        dominant: ``max`` is the longest velocity of a neighborhood, which jumps from one pixel to
+            another as velocities change; ``soft`` a mean of all, weighted by ``exp(speed / T)``,
+            which has a derivative in all of them: for descent on the speeds of objects.
+        temperature: T of ``soft``, pixels. The smaller, the nearer to the longest.
+
+    Raises:
+        ValueError: a setting is out of range or unknown.
     """
 
     tile_choice: TileChoice = "stochastic"
@@ -98,6 +106,18 @@ class GuertinSettings(Settings):
     directions: Directions = "two"
     direction_weights: DirectionWeights = "on"
     diagonal_tiles: DiagonalTiles = "reaching"
+    dominant: Dominant = "max"
+    temperature: float = 0.5
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not 0 < self.temperature < math.inf:
+            raise ValueError(f"`temperature` must be pixels above 0, got {self.temperature}.")
+
+    @property
+    def soft_temperature(self) -> float | None:
+        """The temperature of smooth maxima; None where they are as published."""
+        return self.temperature if self.dominant == "soft" else None
 
     @property
     def has_outcomes(self) -> bool:

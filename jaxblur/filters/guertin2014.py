@@ -341,7 +341,9 @@ def prepare_images(frame: Frame, settings: GuertinSettings, noise: Noise | None)
     motion = each_pixel(
         clamp_motion, (size[0], size[1]), buffers, None, settings, backend=settings.backend
     )
-    tiles = dominant_velocity(frame.velocity, settings.radius, settings.diagonal_tiles)
+    tiles = dominant_velocity(
+        frame.velocity, settings.radius, settings.diagonal_tiles, settings.soft_temperature
+    )
     images = Images(Image(frame.color), Image(motion), Image(tiles), None, None, None)
     if noise is not None or settings.noise != "none":
         noise = resolve_noise(noise, settings.noise, size[0], size[1])

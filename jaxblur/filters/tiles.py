@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from ..kernels import At, Image, Outcome, each_pixel, largest_in_tiles
+from ..kernels import At, Image, Outcome, each_pixel, largest_in_tiles, sum_over
 from ..safe_math import safe_divide, safe_norm, safe_normalize, shortening
 
 Diagonal = Literal["reaching", "all"]
@@ -78,6 +78,86 @@ def ring_velocity(at: At, images: Tiles, _: None, diagonal: Diagonal) -> Outcome
         best_row = jnp.where(larger, row, best_row)
         best_column = jnp.where(larger, column, best_column)
     return Outcome(images.tiles.read(best_row, best_column, 2))
+
+
+class Soft(NamedTuple):
+    """The static part of smooth maxima.
+
+    Attributes:
+        radius: tile size in pixels.
+        temperature: T in pixels, > 0.
+        diagonal: see `neighbor_max`.
+    """
+
+    radius: int
+    temperature: float
+    diagonal: Diagonal
+
+
+class Winners(NamedTuple):
+    """The velocities of pixels, and the velocity and speed of the fastest one of each tile."""
+
+    velocity: Image
+    fastest: Image
+
+
+class SoftSums(NamedTuple):
+    """Sums of a smooth maximum."""
+
+    x: Array
+    y: Array
+    weight: Array
+
+
+def soft_tile_velocity(at: At, images: Winners, _: None, soft: Soft) -> Outcome:
+    """Pass 2, smooth: ``sum_p w_p v_p / sum_p w_p``, ``w_p = exp((||v_p|| - max) / T)``.
+
+    Vectors that point against the fastest one are reversed first: v and -v are the same blur.
+    """
+    top_x, top_y, top = (lax.stop_gradient(part) for part in images.fastest.here())
+
+    def pixel(i: Int[Array, ""]) -> SoftSums:
+        row = at.row * soft.radius + lax.div(i, jnp.int32(soft.radius))
+        column = at.column * soft.radius + lax.rem(i, jnp.int32(soft.radius))
+        inside = (row < images.velocity.height) & (column < images.velocity.width)
+        x, y = images.velocity.read(jnp.where(inside, row, 0), jnp.where(inside, column, 0))
+        speed = safe_norm(x, y)
+        shorter = shortening(speed, soft.radius)
+        weight = jnp.exp((jnp.minimum(speed, soft.radius) - top) / soft.temperature)
+        weight = jnp.where(inside, weight, 0)
+        signed = weight * shorter * jnp.where(x * top_x + y * top_y < 0, -1, 1)
+        return SoftSums(signed * x, signed * y, weight)
+
+    sums = sum_over(soft.radius * soft.radius, pixel)
+    x, y = sums.x / sums.weight, sums.y / sums.weight
+    return Outcome((x, y, safe_norm(x, y)))
+
+
+def soft_ring_velocity(at: At, images: Tiles, _: None, soft: Soft) -> Outcome:
+    """Pass 3, smooth: the same mean over the tiles of the ring that count in `ring_velocity`."""
+    found = []
+    for ox, oy in RING:
+        row, column = at.row + oy, at.column + ox
+        inside = (row >= 0) & (row < images.tiles.height)
+        inside = inside & (column >= 0) & (column < images.tiles.width)
+        place = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
+        x, y, speed = images.tiles.read(*place)
+        if ox * oy and soft.diagonal == "reaching":
+            inside = inside & (jnp.sign(x) * jnp.sign(y) * (ox * oy) > 0)
+        found.append((x, y, speed, inside))
+    top_x, top_y, top, _inside = found[0]
+    for x, y, speed, inside in found[1:]:
+        larger = inside & (speed > top)
+        top_x, top_y = jnp.where(larger, x, top_x), jnp.where(larger, y, top_y)
+        top = jnp.where(larger, speed, top)
+    top_x, top_y, top = (lax.stop_gradient(part) for part in (top_x, top_y, top))
+    sum_x = sum_y = total = jnp.zeros_like(top)
+    for x, y, speed, inside in found:
+        weight = jnp.exp(jnp.where(inside, speed - top, 0) / soft.temperature)
+        weight = jnp.where(inside, weight, 0)
+        signed = weight * jnp.where(x * top_x + y * top_y < 0, -1, 1)
+        sum_x, sum_y, total = sum_x + signed * x, sum_y + signed * y, total + weight
+    return Outcome((sum_x / total, sum_y / total))
 
 
 def ring_variance(at: At, images: Tiles, _: None, __: None) -> Outcome:
@@ -195,7 +275,10 @@ def _ring(tiles: Float[Array, "rows columns 3"], diagonal: Diagonal) -> Array:
 
 
 def dominant_velocity(
-    velocity: Float[Array, "height width 2"], radius: int, diagonal: Diagonal
+    velocity: Float[Array, "height width 2"],
+    radius: int,
+    diagonal: Diagonal,
+    temperature: float | None = None,
 ) -> Float[Array, "tile_rows tile_columns 2"]:
     """Passes 2 and 3: TileMax, then NeighborMax, of velocities clamped to the radius.
 
@@ -206,6 +289,7 @@ def dominant_velocity(
         velocity: (H, W, 2) half-spread in pixels.
         radius: tile size in pixels.
         diagonal: see `neighbor_max`.
+        temperature: of smooth maxima, pixels; the maxima as published if None.
 
     Returns:
         (ceil(H / r), ceil(W / r), 2) half-spread in pixels.
@@ -216,7 +300,11 @@ def dominant_velocity(
     found = Found(image.velocity, Image(fastest))
     grid = fastest.shape[0], fastest.shape[1]
     tiles = each_pixel(tile_velocity, grid, found, None, radius, backend="xla")
-    return _ring(tiles, diagonal)
+    if temperature is None:
+        return _ring(tiles, diagonal)
+    soft, winners = Soft(radius, temperature, diagonal), Winners(image.velocity, Image(tiles))
+    tiles = each_pixel(soft_tile_velocity, grid, winners, None, soft)
+    return each_pixel(soft_ring_velocity, grid, Tiles(Image(tiles)), None, soft, backend="xla")
 
 
 def tile_variance(tiles: ArrayLike) -> Float[Array, "rows columns"]:

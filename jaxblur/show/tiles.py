@@ -57,7 +57,11 @@ def tile_velocities(
     velocity, _ = clamp_speed(jnp.asarray(frame.velocity), settings.radius)
     if stage == "tile":
         return np.asarray(tile_max(velocity, settings.radius))
-    return np.asarray(dominant_velocity(velocity, settings.radius, settings.diagonal_tiles))
+    return np.asarray(
+        dominant_velocity(
+            velocity, settings.radius, settings.diagonal_tiles, settings.soft_temperature
+        )
+    )
 
 
 def tile_overlay(
