@@ -231,19 +231,19 @@ def write(
 
     Args:
         arguments: of the command.
-        outputs: ``.exr`` and ``.png`` files.
+        outputs: ``.exr`` and ``.png`` files; only the first may be an ``.exr``.
         image: (H, W, C) linear light.
         provenance: metadata to add.
         states: of the inputs, as in `Loaded`.
 
     Raises:
-        JaxblurIOError: the file cannot be written, it cannot hold such values, or an input has
-            changed.
+        JaxblurIOError: a file cannot be written or cannot hold such values; or an input has changed
+            before the first was complete, and nothing is written.
     """
     from jaxblur import exr
 
     from_exr = arguments.input.suffix.lower() == ".exr"
-    for output in outputs:
+    for position, output in enumerate(outputs):
         exr.write_image(
             output,
             image,
@@ -253,7 +253,9 @@ def write(
             layer=arguments.layer,
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
-            unchanged=states,
+            # Once the first file is there, the others, of the same pixels, belong beside it: an
+            # input that changes after that is not used any more.
+            unchanged=states if position == 0 else None,
         )
         if output.suffix.lower() == ".png":
             LOG.info("%s: %s", output.suffix.lower(), PNG_TRANSFORM)
