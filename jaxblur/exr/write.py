@@ -266,8 +266,10 @@ def _plan_part(
     allowed = TYPE_BLIND if uint else LOSSLESS
     header.attribute("compression", scheme if scheme in allowed else "zip")
     # These attributes describe how the model is stored, which may change here.
-    for name in ("openexr:chunkCount", "openexr:levelmode", "openexr:dwaCompressionLevel"):
-        header.erase_attribute(name)
+    for name in ("chunkCount", "levelmode", "dwaCompressionLevel"):
+        header.erase_attribute(f"openexr:{name}")
+    # A texture's; with it, the writer waits for smaller levels of the picture.
+    header.erase_attribute("textureformat")
     half = tuple(position for position, _ in replaced if kinds[position] == "half")
     return _Plan(index, header, tuple(c.index for c in kept), replaced, half, uint)
 
