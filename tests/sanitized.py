@@ -1,7 +1,7 @@
 """Programs for kernels compiled with sanitizers; see tests/test_sanitizers.py.
 
-    python -m tests.sanitized FILTER       every kernel of a filter on frames of odd sizes
-    python -m tests.sanitized read-past-the-end | overflow | nothing    one small kernel
+python -m tests.sanitized FILTER       every kernel of a filter on frames of odd sizes
+python -m tests.sanitized read-past-the-end | overflow | nothing    one small kernel
 """
 
 import sys

@@ -371,4 +371,6 @@ def test_an_input_that_changes_between_two_outputs_is_not_used_any_more(tmp_path
     outcome = run("blur", frame, "-o", output, "--png", "--filter", "pixel_velocity")
     assert outcome.status == 0, outcome.err
     written = exr.read_image(output)
-    np.testing.assert_allclose(exr.read_image(tmp_path / "out.png"), np.clip(written, 0, 1), atol=5e-3)
+    np.testing.assert_allclose(
+        exr.read_image(tmp_path / "out.png"), np.clip(written, 0, 1), atol=5e-3
+    )

@@ -94,7 +94,9 @@ def test_native_code_does_nothing_undefined(sanitized):
     pytest_ = ("-m", "pytest", "-s", "-q", "-p", "no:cacheprovider")
     jobs |= {name: (*pytest_, *tests) for name, tests in TESTS.items()}
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        done = dict(zip(jobs, pool.map(lambda job: run(sanitized, *job), jobs.values()), strict=True))
+        done = dict(
+            zip(jobs, pool.map(lambda job: run(sanitized, *job), jobs.values()), strict=True)
+        )
     wrong = [f"{name}:\n{one.stdout}" for name, one in done.items() if one.returncode]
     assert not wrong, "\n\n".join(wrong)
     assert all(done[name].stdout.count("(5, 17)") == 2 for name in jaxblur.FILTERS)

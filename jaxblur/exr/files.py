@@ -409,9 +409,7 @@ def _common_window(info: FileInfo, channels: Sequence[Channel]) -> tuple[int, in
     windows = {info.parts[channel.part].data_window for channel in channels}
     if len(windows) != 1:
         names = ", ".join(channel.name for channel in channels)
-        raise JaxblurIOError(
-            info.path, f"channels {names} have different data windows: {windows}."
-        )
+        raise JaxblurIOError(info.path, f"channels {names} have different data windows: {windows}.")
     return windows.pop()
 
 

@@ -8,6 +8,7 @@ there was one. A file that is worth keeping goes into the corpus as ``mutant_WHA
 
 import argparse
 import collections
+import contextlib
 import json
 import queue
 import subprocess
@@ -40,7 +41,8 @@ class Child:
             cwd=Path(__file__).parents[2],
         )
         self._lines: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=self._pump, daemon=True).start()
+        self._reader = threading.Thread(target=self._pump, daemon=True)
+        self._reader.start()
         assert self._answer(START) == "ready\n", "the process does not start"
 
     def _pump(self) -> None:
@@ -55,16 +57,19 @@ class Child:
     def check(self, file: Path, seconds: float = SECONDS) -> dict[str, Any]:
         """As `tests.fuzz.rules.check`; a crash or a hang is a broken rule, and ends the child."""
         assert self._process.stdin
-        self._process.stdin.write(json.dumps(str(file)) + "\n")
-        self._process.stdin.flush()
         try:
+            self._process.stdin.write(json.dumps(str(file)) + "\n")
+            self._process.stdin.flush()
             line = self._answer(seconds)
         except queue.Empty:
             self.close()
             return {"broken": [f"took more than {seconds:g} s"], "outcomes": {}}
-        if not line:
-            return {"broken": [f"the process died: {self._process.wait()}"], "outcomes": {}}
-        return json.loads(line)
+        except BrokenPipeError:
+            line = ""
+        if line:
+            return json.loads(line)
+        self.close()
+        return {"broken": [f"the process died: {self._process.returncode}"], "outcomes": {}}
 
     def is_alive(self) -> bool:
         """Whether it can take another file."""
@@ -73,7 +78,11 @@ class Child:
     def close(self) -> None:
         """End the process."""
         self._process.kill()
-        self._process.communicate()
+        self._process.wait()
+        self._reader.join()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()  # type: ignore[union-attr]
 
 
 def check_all(files: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes, dict[str, Any]]]:
@@ -97,7 +106,9 @@ def check_all(files: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, bytes, 
 
 def main() -> int:
     """Try the corpus and the mutants; see the module."""
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description="Fuzz the EXR reader.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz", description="Fuzz the EXR reader."
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=1000, help="number of mutants")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for files that break a rule")

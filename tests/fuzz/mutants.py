@@ -39,7 +39,7 @@ def make(corpus: Sequence[Path], seed: int, number: int) -> tuple[str, bytes]:
             way, data = mutations.mutate(data, generator)
             ways.append(way)
     # One fault often hides another.
-    for _ in range(generator.integers(3) if ways else 1):
+    for _ in range(max(0, generator.integers(6) - 3) if ways else 1):
         way = str(generator.choice(ANYWHERE))
         changed = bytearray(data or b"\0")
         result = mutations.MUTATIONS[way](changed, generator)
