@@ -1,4 +1,4 @@
-"""Look through a file by blocks of rows: a large picture takes little more memory than a small one."""
+"""Look through files by blocks of rows, so that a large picture needs little memory."""
 
 from collections.abc import Iterator
 

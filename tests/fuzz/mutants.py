@@ -26,7 +26,7 @@ def make(corpus: Sequence[Path], seed: int, number: int) -> tuple[str, bytes]:
     """
     generator = np.random.default_rng((seed, number))
     intact = [path for path in corpus if not path.name.startswith("mutant_")]
-    path, other = corpus[generator.integers(len(corpus))], intact[generator.integers(len(intact))]
+    path, other = (files[int(generator.integers(len(files)))] for files in (corpus, intact))
     data = path.read_bytes()
     ways = []
     if path in intact:
