@@ -3,11 +3,14 @@
 import os
 import stat
 import time
+import zlib
 
 import pytest
 
 from jaxblur._util import cache
-from jaxblur._util.cache import UnsafeFolderError, private_folder, trim_cache
+from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_torn_entries, trim_cache
+from tests.command_line import spawn
+from tests.exr_files import CAR
 
 as_root = pytest.mark.skipif(os.getuid() != 0, reason="needs root, to give a folder away")
 STRANGER = 12345
@@ -117,3 +120,45 @@ def test_what_was_used_longest_ago_goes_first(home, monkeypatch):
     assert left == {*names[:2], *others[:3]}
     trim_cache()
     assert (folder / names[1]).exists()
+
+
+def test_entries_that_were_not_written_completely_are_removed_once(home):
+    folder = private_folder()
+    whole = zlib.compress(bytes(range(256)) * 50)
+    entries = {
+        "jit_whole-1-cache": whole,
+        "jit_cut-2-cache": whole[:-1],
+        "jit_flipped-3-cache": whole[:20] + b"?" + whole[21:],
+        "jit_empty-4-cache": b"",
+        "jit_zstd-5-cache": cache.ZSTD + b"of another Python",
+        "notes.txt": b"",
+    }
+    for name, data in entries.items():
+        (folder / name).write_bytes(data)
+    remove_torn_entries()
+    kept = {"jit_whole-1-cache", "jit_zstd-5-cache", "notes.txt", cache.CHECKED}
+    assert {path.name for path in folder.iterdir()} == kept
+    old = folder / "jit_whole-1-cache"
+    old.write_bytes(whole[:5])
+    os.utime(old, (1, 1))
+    remove_torn_entries()
+    assert old.exists(), "each is read once"
+
+
+@pytest.mark.slow
+def test_an_entry_that_is_cut_off_is_made_again_without_a_word(home, tmp_path):
+    environment = os.environ | {"XDG_CACHE_HOME": str(home), "JAX_COMPILATION_CACHE_DIR": ""}
+    command = ("blur", CAR, "-o", tmp_path / "out.exr", "--overwrite", "--filter", "pixel_velocity")
+
+    def run():
+        done = spawn(*command, "--backend", "xla", env=environment)
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    usual = run()
+    entries = list((home / "jaxblur").glob("*-cache"))
+    assert entries
+    for path in entries:
+        path.write_bytes(path.read_bytes()[:-9])
+    assert run() == usual
+    assert all(not cache._is_torn(path.read_bytes()) for path in entries)

@@ -383,3 +383,22 @@ def test_an_input_that_changes_meanwhile_is_an_error(tmp_path, monkeypatch, role
     message = refused(*command, "--filter", "pixel_velocity")
     assert f"{role}.exr: changed while it was being used; nothing was written" in message
     assert sorted(path.name for path in tmp_path.iterdir()) == ["depth.exr", "input.exr"]
+
+
+def test_an_input_that_changes_between_two_outputs_is_not_used_any_more(tmp_path, monkeypatch):
+    channels = plain_frame((16, 16))
+    frame = write_single(tmp_path / "input.exr", channels)
+    write_image = exr.write_image
+
+    def write_then_change(path, *arguments, **options):
+        write_image(path, *arguments, **options)
+        write_single(frame, channels | {"R": channels["R"] + 1})
+
+    monkeypatch.setattr(exr, "write_image", write_then_change)
+    output = tmp_path / "out.exr"
+    outcome = run("blur", frame, "-o", output, "--png", "--filter", "pixel_velocity")
+    assert outcome.status == 0, outcome.err
+    written = exr.read_image(output)
+    np.testing.assert_allclose(
+        exr.read_image(tmp_path / "out.png"), np.clip(written, 0, 1), atol=5e-3
+    )

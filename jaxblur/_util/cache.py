@@ -1,15 +1,20 @@
 """The folder of compiled code, which later runs load: only the user may be able to change it."""
 
+import contextlib
 import itertools
 import os
 import pathlib
 import stat
+import zlib
 from collections.abc import Iterator
 
 LARGEST = 512_000_000
 """Bytes of compiled code that are kept."""
 TRIMMED = 0.8
 """Share of `LARGEST` that is left after old files are removed."""
+CHECKED = "checked"
+"""Name of the empty file whose time is that of the last search for incomplete entries."""
+ZSTD = b"\x28\xb5\x2f\xfd"
 SHARED = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -141,6 +146,38 @@ def trim_cache() -> None:
         if size > TRIMMED * LARGEST:
             path.unlink(missing_ok=True)
             checksum_file(path).unlink(missing_ok=True)
+
+
+def remove_torn_entries() -> None:
+    """Remove code that XLA compiled and that a killed process or a full disk left incomplete.
+
+    jax would warn of it in every run, and never replace it. An entry is read once, by the first run
+    after it was written. Those that jax has packed by zstd, not by zlib, are left alone.
+    """
+    try:
+        folder = private_folder()
+        checked = folder / CHECKED
+        since = checked.stat().st_mtime if checked.exists() else 0
+        checked.touch(0o600)
+    except (UnsafeFolderError, OSError):
+        return
+    for path in folder.glob("*-cache"):
+        # Another process may remove it too.
+        with contextlib.suppress(OSError):
+            if path.lstat().st_mtime >= since and _is_torn(path.read_bytes()):
+                path.unlink()
+
+
+def _is_torn(entry: bytes) -> bool:
+    """Whether an entry of jax's cache is cut off or damaged."""
+    if entry.startswith(ZSTD):
+        return False
+    unpacking = zlib.decompressobj()
+    try:
+        unpacking.decompress(entry)
+    except zlib.error:
+        return True
+    return not unpacking.eof
 
 
 def _compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:

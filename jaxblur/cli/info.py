@@ -1,7 +1,6 @@
 """``jaxblur info``: what a file holds, and how fast things move in it."""
 
 import argparse
-import contextlib
 import dataclasses
 import json
 import logging
@@ -182,7 +181,7 @@ def _nothing(error: Any) -> dict[str, Any]:
 
 def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
     """Recognize the vectors and measure them; ``preset`` is None where there are none."""
-    from jaxblur import exr, vectors
+    from jaxblur import exr
 
     try:
         guess = exr.choose_vectors(
@@ -197,8 +196,15 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
     missing = _missing_option(guess.preset, arguments)
     if missing:
         return found | {"speeds": None, "needs": missing}
-    velocity = _velocity(info, guess, arguments)
-    speeds = vectors.speed_statistics(velocity, arguments.radius)
+    speeds = exr.measure_speeds(
+        info.path,
+        guess,
+        arguments.shutter,
+        arguments.radius,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+    )
     return found | {"shutter": arguments.shutter, "speeds": dataclasses.asdict(speeds)}
 
 
@@ -208,29 +214,6 @@ def _missing_option(preset: Any, arguments: argparse.Namespace) -> str | None:
     if preset.scale == "max-displace" and arguments.max_displace is None:
         return "--max-displace"
     return None
-
-
-def _velocity(info: Any, guess: Any, arguments: argparse.Namespace) -> Any:
-    """Read the half-spreads as they are: damaged values are counted, not rejected."""
-    from jaxblur import exr
-
-    # Only the alpha of the color is needed, and that by few presets; else vectors take its place.
-    color = guess.channels
-    if guess.preset.premultiplied:
-        with contextlib.suppress(exr.JaxblurIOError):
-            color = exr.choose_color(info, arguments.layer).channels
-    return exr.read_buffers(
-        info.path,
-        arguments.preset,
-        arguments.shutter,
-        depth="flat",
-        file_shutter=arguments.file_shutter,
-        max_displace=arguments.max_displace,
-        layer=arguments.layer,
-        color_channels=color,
-        velocity_channels=arguments.velocity_channels,
-        nonfinite="keep",
-    ).velocity
 
 
 def _as_json(part: Any) -> dict[str, Any]:

@@ -253,24 +253,27 @@ def write(
 
     Args:
         arguments: of the command.
-        outputs: ``.exr`` and ``.png`` files.
+        outputs: ``.exr`` and ``.png`` files; only the first may be an ``.exr``.
         image: (H, W, C) linear light.
         provenance: metadata to add.
         loaded: the frame that it was made of.
 
     Raises:
-        JaxblurIOError: the file cannot be written, it cannot hold such values, or an input has
-            changed.
+        JaxblurIOError: a file cannot be written or cannot hold such values; or an input has changed
+            before the first was complete, and nothing is written.
     """
     from jaxblur import exr
 
     colors = loaded.colors
     from_exr = arguments.input.suffix.lower() == ".exr"
-    for output in outputs:
+    for position, output in enumerate(outputs):
+        # Once the first file is there, the others, of the same pixels, belong beside it: an input
+        # that changes after that is not used any more.
+        unchanged = loaded.states if position == 0 else None
         if output.suffix.lower() == ".png":
             words = {} if colors.is_identity else {exr.COLORS: colors.words}
             shown, notes = colors.light(image), dict(provenance) | words
-            exr.write_image(output, shown, attributes=notes, unchanged=loaded.states)
+            exr.write_image(output, shown, attributes=notes, unchanged=unchanged)
             LOG.info(".png: %s", PNG_TRANSFORM)
             continue
         exr.write_image(
@@ -282,7 +285,7 @@ def write(
             layer=arguments.layer,
             color_channels=arguments.color_channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
-            unchanged=loaded.states,
+            unchanged=unchanged,
         )
 
 

@@ -50,11 +50,11 @@ from .files import (
 from .read import (
     DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,
-    count_not_finite as count_not_finite,
     read_buffers as read_buffers,
     read_frame as read_frame,
     read_image as read_image,
 )
+from .survey import count_not_finite as count_not_finite, measure_speeds as measure_speeds
 from .write import (
     refuse_overwrite as refuse_overwrite,
     write_channels as write_channels,

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import os
 import pathlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -318,12 +319,7 @@ def read_named(
         JaxblurIOError: a channel is missing, parts differ in window, or pixels are damaged.
     """
     channels = [info.channel(name) for name in names]
-    windows = {info.parts[channel.part].data_window for channel in channels}
-    if len(windows) != 1:
-        raise JaxblurIOError(
-            info.path, f"channels {', '.join(names)} have different data windows: {windows}."
-        )
-    _, _, width, height = windows.pop()
+    _, _, width, height = _common_window(info, channels)
     order = sorted(range(len(names)), key=lambda i: (channels[i].part, channels[i].index))
     runs = list(_runs(order, channels))
 
@@ -378,46 +374,77 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
     return pixels
 
 
-def read_blocks(source: Any, info: FileInfo, part: int) -> Iterator[np.ndarray]:
-    """Read all channels of a part in blocks of rows, from the top.
+def read_blocks(
+    source: Any, info: FileInfo, channels: Sequence[Channel]
+) -> Iterator[Float[np.ndarray, "rows width channels"]]:
+    """Read channels of an open image in blocks of rows, from the top.
 
     Args:
         source: an open ``ImageInput``.
         info: its listing.
-        part: index of the part, which must not be deep.
+        channels: of one data window; they may lie in different parts.
 
     Yields:
-        (rows, W, channels) float32, about `BLOCK` values or one row of tiles each.
+        (rows, W, number of channels) float32, about `BLOCK` values or one row of tiles each.
 
     Raises:
-        JaxblurIOError: the pixels cannot be read completely.
+        JaxblurIOError: a channel is deep, parts differ in window, or the pixels cannot be read
+            completely.
     """
-    described = info.parts[part]
-    _check_size(info, described)
-    left, top, width, height = described.data_window
-    count = len(described.channels)
-    source.seek_subimage(part, 0)
-    spec = source.spec()
+    _, top, width, height = _common_window(info, channels)
+    parts = sorted({channel.part for channel in channels})
+    spans = {}
+    for part in parts:
+        indices = [channel.index for channel in channels if channel.part == part]
+        spans[part] = min(indices), max(indices) + 1
+    step = max(1, BLOCK // (width * sum(end - begin for begin, end in spans.values())))
     # Whole rows of tiles, or of the largest chunks of lines, so that nothing is decoded twice.
-    unit = spec.tile_height or 256
-    step = unit * max(1, BLOCK // (unit * width * count))
-    for begin in range(top, top + height, step):
-        end = min(begin + step, top + height)
-        try:
-            if spec.tile_width:
-                box = (left, left + width, begin, end, 0, 1)
-                rows = source.read_tiles(part, 0, *box, 0, count, "float")
-            else:
-                rows = source.read_scanlines(part, 0, begin, end, 0, 0, count, "float")
-        except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError) as error:
-            raise JaxblurIOError(info.path, f"part {part}: cannot be read: {error}") from error
-        if rows is None:
-            raise JaxblurIOError(
-                info.path,
-                f"part {part}: truncated or damaged, copy or render it again "
-                f"({pending_message(source)}).",
-            )
-        yield rows.reshape(-1, width, count)
+    unit = math.lcm(*(_rows_of_chunk(source, info, part) for part in parts))
+    step = max(1, step // unit) * unit
+    for first in range(top, top + height, step):
+        last = min(first + step, top + height)
+        rows = {part: _read_rows(source, info, part, first, last, *spans[part]) for part in parts}
+        yield np.stack([rows[c.part][..., c.index - spans[c.part][0]] for c in channels], axis=-1)
+
+
+def _common_window(info: FileInfo, channels: Sequence[Channel]) -> tuple[int, int, int, int]:
+    windows = {info.parts[channel.part].data_window for channel in channels}
+    if len(windows) != 1:
+        names = ", ".join(channel.name for channel in channels)
+        raise JaxblurIOError(info.path, f"channels {names} have different data windows: {windows}.")
+    return windows.pop()
+
+
+def _rows_of_chunk(source: Any, info: FileInfo, part: int) -> int:
+    """Rows of a tile, or at least those of the largest chunk; impossible parts are rejected."""
+    described = info.parts[part]
+    if described.deep:
+        raise JaxblurIOError(info.path, f"part {part}: deep pixels; flatten the image first.")
+    _check_size(info, described)
+    source.seek_subimage(part, 0)
+    return source.spec().tile_height or 256
+
+
+def _read_rows(
+    source: Any, info: FileInfo, part: int, first: int, last: int, begin: int, end: int
+) -> np.ndarray:
+    left, _, width, _ = info.parts[part].data_window
+    source.seek_subimage(part, 0)
+    try:
+        if source.spec().tile_width:
+            box = (left, left + width, first, last, 0, 1)
+            rows = source.read_tiles(part, 0, *box, begin, end, "float")
+        else:
+            rows = source.read_scanlines(part, 0, first, last, 0, begin, end, "float")
+    except (RuntimeError, ValueError, MemoryError, UnicodeDecodeError) as error:
+        raise JaxblurIOError(info.path, f"part {part}: cannot be read: {error}") from error
+    if rows is None:
+        raise JaxblurIOError(
+            info.path,
+            f"part {part}: truncated or damaged, copy or render it again "
+            f"({pending_message(source)}).",
+        )
+    return rows.reshape(-1, width, end - begin)
 
 
 def _check_size(info: FileInfo, part: Part) -> None:

@@ -52,7 +52,10 @@ def _check_end(path: PathLike, temporary: str) -> None:
         with open(temporary, "rb") as file:
             whole = file.read().endswith(PNG_END)
     else:
-        whole = _last_row_is_there(temporary)
+        try:
+            whole = _last_row_is_there(temporary)
+        except JaxblurIOError as error:
+            raise JaxblurIOError(path, f"cannot be written: {error.reason}") from error
     if not whole:
         raise JaxblurIOError(path, "cannot be written: its end is missing; is the disk full?")
 

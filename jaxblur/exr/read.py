@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from jaxblur import srgb, vectors
 from jaxblur._util.errors import JaxblurIOError, PathLike
-from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy, not_finite
+from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy
 
 from .checks import check_speed, refuse, refuse_or_zero, warn_lossy, without_depth
 from .choose import (
@@ -19,19 +19,10 @@ from .choose import (
     choose_color,
     choose_depth,
     choose_vectors,
-    is_depth,
     views_of,
 )
 from .color import INTEGERS
-from .files import (
-    FileInfo,
-    JaxblurIOWarning,
-    describe,
-    inspect,
-    open_input,
-    read_blocks,
-    read_channels,
-)
+from .files import FileInfo, JaxblurIOWarning, inspect, read_channels
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
@@ -184,7 +175,7 @@ def read_buffers(
     raw, still = _read_vectors(vector_info, guess.channels, info, group, nonfinite)
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     scale = {"max_displace": max_displace, "file_shutter": file_shutter}
-    velocity, curve = _half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
+    velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
         check_speed(velocity, vector_info.path, guess)
 
@@ -229,39 +220,6 @@ def read_image(
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
     return _read_color(info, group, "error")[0]
-
-
-def count_not_finite(path: PathLike) -> dict[str, int]:
-    """Count the pixels with NaN or infinity; infinite depth is sky and does not count.
-
-    The file is opened once and read by blocks of rows, so that a large picture needs no more memory
-    than a small one. Deep parts and integer channels are left out.
-
-    Args:
-        path: an image file.
-
-    Returns:
-        The number of such pixels by full channel name, 0 included.
-
-    Raises:
-        JaxblurIOError: the file is missing or damaged.
-    """
-    counts: dict[str, int] = {}
-    with open_input(path) as source:
-        info = describe(source, path)
-        for index, part in enumerate(info.parts):
-            floats = [c for c in part.channels if c.type in ("half", "float")]
-            if part.deep or not floats:
-                continue
-            counts |= dict.fromkeys((channel.name for channel in floats), 0)
-            for rows in read_blocks(source, info, index):
-                for channel in floats:
-                    values = rows[..., channel.index]
-                    bad = not_finite(values)
-                    if is_depth(channel.name):
-                        bad &= ~np.isposinf(values)
-                    counts[channel.name] += int(np.count_nonzero(bad))
-    return counts
 
 
 def to_distance(
@@ -394,7 +352,7 @@ def _window(info: FileInfo, channel: str) -> str:
     return f"{width}x{height} at ({x}, {y})"
 
 
-def _half_spread(
+def half_spread(
     info: FileInfo,
     guess: vectors.Guess,
     raw: np.ndarray,
@@ -403,7 +361,23 @@ def _half_spread(
     shutter: float,
     scale: dict[str, float | None],
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Compute the velocity and, if known, the path; unknown vectors count as at rest."""
+    """Compute the velocity and, if known, the path.
+
+    Args:
+        info: listing of the file with the vectors.
+        guess: their convention.
+        raw: (H, W, 2 or 4) vectors as stored, or some rows of them.
+        still: (H, W) True where the vector is unknown and counts as at rest.
+        alpha: (H, W) coverage, or None.
+        shutter: exposure in frames.
+        scale: ``max_displace`` and ``file_shutter``, as in `read_buffers`.
+
+    Returns:
+        (H, W, 2) half-spread, and (H, W, 2, 2) or None, as in `Buffers`.
+
+    Raises:
+        JaxblurIOError: the convention needs an argument that was not given.
+    """
     *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
     # Damaged values may overflow here; `check_speed` or the caller's statistics report them.
     with np.errstate(invalid="ignore", over="ignore"):

@@ -46,4 +46,8 @@ from .presets import (
     VectorPair as VectorPair,
 )
 from .rank import Candidate as Candidate, Ranking as Ranking, rank_conventions as rank_conventions
-from .statistics import SpeedStatistics as SpeedStatistics, speed_statistics as speed_statistics
+from .statistics import (
+    SpeedStatistics as SpeedStatistics,
+    speed_statistics as speed_statistics,
+    speed_statistics_of_blocks as speed_statistics_of_blocks,
+)

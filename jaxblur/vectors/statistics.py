@@ -2,12 +2,15 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 RADIUS_STEP = 5
+PIXELS_AT_ONCE = 1_000_000
+"""Pixels whose speeds are computed together, in double precision."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,16 +48,45 @@ def speed_statistics(
     Returns:
         The statistics.
     """
-    x, y = np.moveaxis(velocity.astype(np.float64), -1, 0)
-    speed = np.hypot(x, y)
-    finite = speed[np.isfinite(speed)]
-    values = np.percentile(finite, PERCENTILES) if finite.size else np.zeros(len(PERCENTILES))
+    height, width = velocity.shape[:2]
+    rows = max(1, PIXELS_AT_ONCE // max(1, width))
+    blocks = (velocity[row : row + rows] for row in range(0, height, rows))
+    return speed_statistics_of_blocks(blocks, (height, width), radius)
+
+
+def speed_statistics_of_blocks(
+    blocks: Iterable[Float[np.ndarray, "rows width 2"]], size: tuple[int, int], radius: float = 40.0
+) -> SpeedStatistics:
+    """Measure the speeds of a frame that comes in blocks of rows; keeps four bytes a pixel.
+
+    Args:
+        blocks: (rows, W, 2) half-spreads in pixels, all rows of the frame in any order.
+        size: (H, W) of the frame.
+        radius: as in `speed_statistics`.
+
+    Returns:
+        The statistics.
+    """
+    pixels = size[0] * size[1]
+    finite = np.empty(pixels, np.float32)
+    count = zeros = beyond = 0
+    for velocity in blocks:
+        x, y = np.moveaxis(velocity.astype(np.float64), -1, 0)
+        speed = np.hypot(x, y)
+        speed = speed[np.isfinite(speed)]
+        zeros += np.count_nonzero(speed == 0)
+        beyond += np.count_nonzero(speed > radius)
+        finite[count : count + speed.size] = np.minimum(speed, np.finfo(np.float32).max)
+        count += speed.size
+    values = np.zeros(len(PERCENTILES))
+    if count:
+        values = np.percentile(finite[:count], PERCENTILES, overwrite_input=True)
     steps = max(1, math.ceil(values[-1] / RADIUS_STEP))
     return SpeedStatistics(
         percentiles=dict(zip(PERCENTILES, values.tolist(), strict=True)),
-        zero_share=float(np.mean(speed == 0)),
-        non_finite_share=float(np.mean(~np.isfinite(speed))),
-        beyond_share=float(np.mean(np.isfinite(speed) & (speed > radius))),
+        zero_share=zeros / pixels,
+        non_finite_share=(pixels - count) / pixels,
+        beyond_share=beyond / pixels,
         radius=radius,
-        suggested_radius=min(steps * RADIUS_STEP, max(speed.shape)),
+        suggested_radius=min(steps * RADIUS_STEP, max(size)),
     )

@@ -33,6 +33,12 @@ FLAGS = (
     *("-O3", "-std=c++17", "-shared", "-fPIC", "-fwrapv", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-Wno-psabi"),
 )
+SANITIZER_FLAGS = (
+    *("-O0", "-g1", "-fno-omit-frame-pointer", "-fno-wrapv", "-DSANITIZED"),
+    *("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
+)
+SANITIZE = "JAXBLUR_SANITIZE_KERNELS"
+"""Environment variable; if it is 1, `SANITIZER_FLAGS` are added, for tests."""
 # Tried in this order: compilers differ in the flag for "this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
@@ -155,6 +161,10 @@ def _temporary_folder() -> pathlib.Path:
     return pathlib.Path(folder)
 
 
+def _flags() -> tuple[str, ...]:
+    return FLAGS + SANITIZER_FLAGS if os.environ.get(SANITIZE) == "1" else FLAGS
+
+
 def _compile(source: str, library: pathlib.Path) -> None:
     """Compile in a folder of its own, then rename: no process ever sees half a library.
 
@@ -174,7 +184,7 @@ def _compile(source: str, library: pathlib.Path) -> None:
         built = program.with_suffix(".so")
         words = ""
         for machine in MACHINE_FLAGS:
-            command = [compiler, *FLAGS, *machine, f"-I{jax.ffi.include_dir()}"]
+            command = [compiler, *_flags(), *machine, f"-I{jax.ffi.include_dir()}"]
             command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
             try:
                 done = _run(command, TIME_LIMIT)
@@ -284,7 +294,7 @@ def _say_once() -> None:
 @functools.cache
 def _register(source: str) -> str:
     """Once for each program of this process."""
-    key = hashlib.sha256("\n".join([_machine(), *FLAGS, source]).encode()).hexdigest()[:24]
+    key = hashlib.sha256("\n".join([_machine(), *_flags(), source]).encode()).hexdigest()[:24]
     name = f"jaxblur_sum_{key}"
     library = _folder() / f"{name}.so"
     try:

@@ -92,8 +92,10 @@ static void sum_row(const Job* job, Element* const* tables, const int row, const
   for (int first = from; first < until; first += LANES) {
     const int lanes = until - first < LANES ? until - first : LANES;
     const int64_t pixel = start + first;
-    const Ints x = first + lane_numbers();
-    const Ints own = (int32_t)pixel + min_int(lane_numbers(), wide(lanes - 1));
+    /* Lanes beyond the end of the row compute its last pixel again, so that they read inside. */
+    const Ints inside = min_int(lane_numbers(), wide(lanes - 1));
+    const Ints x = first + inside;
+    const Ints own = (int32_t)pixel + inside;
     (void)x, (void)y, (void)own;
     Floats results[RESULTS + 1] = {};
 @MOVING@
@@ -235,6 +237,24 @@ static int64_t elements_of(const XLA_FFI_Buffer* buffer) {
   return count;
 }
 
+#ifdef SANITIZED
+/* XLA keeps many arrays in one block of memory, and sanitizers know only where blocks end. So every
+   array has a block of its own while the kernel runs. */
+static size_t bytes_of(const XLA_FFI_Buffer* buffer) {
+  return elements_of(buffer) * (buffer->dtype == XLA_FFI_DataType_PRED ? 1 : 4);
+}
+static void* data_of(const XLA_FFI_Buffer* buffer) {
+  return memcpy(malloc(bytes_of(buffer)), buffer->data, bytes_of(buffer));
+}
+static void put_back(const XLA_FFI_Buffer* buffer, void* data, bool is_result) {
+  if (is_result) memcpy(buffer->data, data, bytes_of(buffer));
+  free(data);
+}
+#else
+static void* data_of(const XLA_FFI_Buffer* buffer) { return buffer->data; }
+static void put_back(const XLA_FFI_Buffer*, void*, bool) {}
+#endif
+
 static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
   XLA_FFI_Error_Create_Args arguments = {};
   arguments.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
@@ -253,7 +273,7 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   }
   void* arguments[ARGUMENTS + 1];
   for (int k = 0; k < ARGUMENTS; ++k)
-    arguments[k] = ((XLA_FFI_Buffer*)frame->args.args[k])->data;
+    arguments[k] = data_of((XLA_FFI_Buffer*)frame->args.args[k]);
   Job* job = new Job;
   const int32_t* sizes = sizes_of(frame);
   job->height = sizes[0], job->width = sizes[1], job->sizes = sizes + 2;
@@ -263,12 +283,18 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   job->kept = KEPT ? (const float*)arguments[ARGUMENTS - 1] : nullptr;
   job->arguments = arguments;
   const int buffers = IMAGE ? 1 : RESULTS;
-  for (int k = 0; k < buffers; ++k)
-    job->results[k] = (float*)((XLA_FFI_Buffer*)frame->rets.rets[k])->data;
+  void* results[RESULTS + TABLES + 1];
+  for (int k = 0; k < buffers + TABLES; ++k)
+    results[k] = data_of((XLA_FFI_Buffer*)frame->rets.rets[k]);
+  for (int k = 0; k < buffers; ++k) job->results[k] = (float*)results[k];
   for (int k = 0; k < TABLES; ++k) {
-    const XLA_FFI_Buffer* table = (XLA_FFI_Buffer*)frame->rets.rets[buffers + k];
-    job->tables[k] = (Element*)table->data;
-    job->table_sizes[k] = elements_of(table);
+    job->tables[k] = (Element*)results[buffers + k];
+    job->table_sizes[k] = elements_of((XLA_FFI_Buffer*)frame->rets.rets[buffers + k]);
   }
-  return run(job, frame) ? nullptr : out_of_memory(frame->api);
+  const bool enough = run(job, frame);
+  for (int k = 0; k < ARGUMENTS; ++k)
+    put_back((XLA_FFI_Buffer*)frame->args.args[k], arguments[k], false);
+  for (int k = 0; k < buffers + TABLES; ++k)
+    put_back((XLA_FFI_Buffer*)frame->rets.rets[k], results[k], true);
+  return enough ? nullptr : out_of_memory(frame->api);
 }

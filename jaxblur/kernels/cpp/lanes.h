@@ -148,6 +148,14 @@ static inline Floats floorf(Floats a) {
 static inline Ints floor_to_ints(Floats a) {
   return (Ints)_mm512_cvt_roundps_epi32((__m512)a, _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC);
 }
+#elif defined(__AVX2__)
+static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a); }
+#else
+LANE_BY_LANE(floorf)
+#endif
+
+/* Sanitizers do not see what the gather instructions read. */
+#if defined(__AVX512F__) && !defined(SANITIZED)
 static inline Floats read(const float* table, Ints index) {
   return (Floats)_mm512_i32gather_ps((__m512i)index, table, 4);
 }
@@ -165,8 +173,7 @@ static inline void read(const float* table, Ints index, Floats& first, Floats& s
   first = (Floats)_mm512_permutex2var_ps(low, even, high);
   second = (Floats)_mm512_permutex2var_ps(low, _mm512_add_epi32(even, _mm512_set1_epi32(1)), high);
 }
-#elif defined(__AVX2__)
-static inline Floats floorf(Floats a) { return (Floats)_mm256_floor_ps((__m256)a); }
+#elif defined(__AVX2__) && !defined(SANITIZED)
 static inline Floats read(const float* table, Ints index) {
   return (Floats)_mm256_i32gather_ps(table, (__m256i)index, 4);
 }
@@ -174,7 +181,6 @@ static inline Ints read(const int32_t* table, Ints index) {
   return (Ints)_mm256_i32gather_epi32(table, (__m256i)index, 4);
 }
 #else
-LANE_BY_LANE(floorf)
 static inline Floats read(const float* table, Ints index) {
   Floats result;
   for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
@@ -189,6 +195,8 @@ static inline Ints read(const int32_t* table, Ints index) {
 
 #if !defined(__AVX512F__)
 static inline Ints floor_to_ints(Floats a) { return to_ints(floorf(a)); }
+#endif
+#if !defined(__AVX512F__) || defined(SANITIZED)
 static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
   first = read(table, index);
   second = read(table, index + 1);
@@ -280,7 +288,8 @@ static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS]
    row without that room, is a multiple of 3, which the inverse of 3 modulo 2^32 divides exactly. */
 static inline void add_three(float* table, Ints index, const Floats (&values)[3], int lanes) {
   const Floats row[4] = {values[0], values[1], values[2], Floats{}};
-  add(table, index * (int32_t)0xAAAAAAABu * 4, row, lanes);
+  typedef uint32_t Modular __attribute__((vector_size(4 * LANES)));
+  add(table, (Ints)((Modular)index * 0xAAAAAAABu * 4), row, lanes);
 }
 
 /* Keeps the larger of what is there and the lane's own. Lanes may meet at one place, so they come

@@ -1,0 +1,59 @@
+"""Programs for kernels compiled with sanitizers; see tests/test_sanitizers.py.
+
+python -m tests.sanitized FILTER       every kernel of a filter on frames of odd sizes
+python -m tests.sanitized read-past-the-end | overflow | nothing    one small kernel
+"""
+
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxblur
+from jaxblur.kernels import Image, Outcome, each_pixel, sum_over
+from tests.test_kernels_operations import Planes
+from tests.test_native import make_frame, parameters_of, runs
+
+# One pixel, less than the lanes of a vector, and one more than a vector.
+SIZES = [(1, 1), (3, 7), (5, 17)]
+
+
+def run_filter(name: str) -> None:
+    """Values and derivatives by every input, with both fetches."""
+    parameters = jax.tree.map(jnp.float32, parameters_of(name))
+    for fetch in ("nearest", "bilinear"):
+        by_native, _ = runs(name, fetch=fetch)
+
+        @jax.jit
+        @jax.value_and_grad
+        def loss(inputs, by_native=by_native):
+            return jnp.sum(by_native(*inputs) ** 2)
+
+        for size in SIZES:
+            value, _ = loss((make_frame(size), parameters))
+            assert np.isfinite(value), (name, fetch, size)
+            print(name, fetch, size)
+
+
+def run_small(places: int, factor: int) -> None:
+    """A kernel that reads a table of 19 elements ``places`` after the pixel's own place."""
+    images = Planes(*(Image(jnp.ones((1, 19, 1))) for _ in range(2)))
+
+    def program(at, images, _, __):
+        def sample(i):
+            number = (at.column + 1) * factor
+            return images.t.read_texel(at.column + places)[0] + 0.0 * (number + i)
+
+        return Outcome((sum_over(3, sample),))
+
+    print(each_pixel(program, (1, 19), images, backend="native"))
+
+
+SMALL = {"read-past-the-end": (1, 1), "overflow": (0, 2**30), "nothing": (0, 1)}
+
+if __name__ == "__main__":
+    if sys.argv[1] in jaxblur.FILTERS:
+        run_filter(sys.argv[1])
+    else:
+        run_small(*SMALL[sys.argv[1]])

@@ -1,0 +1,101 @@
+"""Native kernels compiled with AddressSanitizer and UndefinedBehaviorSanitizer, in child processes.
+
+Kernels read tables at promised places, so that an error in them shows in no result. Here every
+array has a block of memory of its own, and a read outside ends the process with a report. Signed
+overflow, which kernels define by -fwrapv, is reported too: no index may need it.
+"""
+
+import concurrent.futures
+import functools
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+import jaxblur
+from jaxblur.kernels.cpp import build
+
+pytestmark = pytest.mark.slow
+
+ROOT = pathlib.Path(__file__).parents[1]
+TESTS = {
+    "tests/test_kernels_operations.py": "table or neighbors or loop or limit or reads or integers",
+    "tests/test_kernels_marks.py": "native",
+    "tests/test_native.py": "threads or scalars or nan_and_infinity",
+}
+"""Expressions of pytest that choose tests by file: those that read, mark and add most."""
+
+
+@functools.cache
+def library(name):
+    """Path of a library of the compiler, None if it has none."""
+    compiler = build.find_compiler()
+    if sys.platform != "linux" or compiler is None:
+        return None
+    command = [compiler, f"-print-file-name={name}"]
+    path = subprocess.run(command, capture_output=True, text=True).stdout.strip()
+    return path if os.path.isabs(path) else None
+
+
+@pytest.fixture(scope="module")
+def sanitized(tmp_path_factory):
+    """Environment of a process whose kernels are checked."""
+    if library("libasan.so") is None:
+        pytest.skip("needs a C++ compiler with libasan.so (Linux, GCC)")
+    folder = tmp_path_factory.mktemp("cache")
+    folder.chmod(0o700)
+    libraries = filter(None, map(library, ("libasan.so", "libubsan.so", "libstdc++.so")))
+    return os.environ | {
+        build.SANITIZE: "1",
+        "LD_PRELOAD": " ".join(libraries),
+        # Python never frees some of its memory; short traces of allocations save time.
+        "ASAN_OPTIONS": ":".join(
+            ("detect_leaks=0", "halt_on_error=1", "malloc_context_size=2", "quarantine_size_mb=16")
+        ),
+        "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
+        "XDG_CACHE_HOME": str(folder),
+        # What XLA compiles is not checked, and runs once.
+        "XLA_FLAGS": "--xla_backend_optimization_level=0",
+    }
+
+
+def run(environment, *arguments):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        env=environment,
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    )
+
+
+@pytest.mark.parametrize(
+    ("program", "report"),
+    [
+        ("read-past-the-end", "AddressSanitizer: heap-buffer-overflow"),
+        ("overflow", "runtime error: signed integer overflow"),
+        ("nothing", None),
+    ],
+)
+def test_a_wrong_kernel_is_reported(sanitized, program, report):
+    done = run(sanitized, "-m", "tests.sanitized", program)
+    assert (done.returncode != 0) == (report is not None), done.stdout
+    assert report is None or report in done.stdout
+
+
+def test_native_code_does_nothing_undefined(sanitized):
+    jobs = {name: ("-m", "tests.sanitized", name) for name in sorted(jaxblur.FILTERS)}
+    pytest_ = ("-m", "pytest", "-s", "-q", "-p", "no:cacheprovider")
+    jobs |= {file: (*pytest_, file, "-k", which) for file, which in TESTS.items()}
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        done = dict(
+            zip(jobs, pool.map(lambda job: run(sanitized, *job), jobs.values()), strict=True)
+        )
+    wrong = [f"{name}:\n{one.stdout}" for name, one in done.items() if one.returncode]
+    assert not wrong, "\n\n".join(wrong)
+    assert all(done[name].stdout.count("(5, 17)") == 2 for name in jaxblur.FILTERS)
+    assert all(" passed" in done[file].stdout for file in TESTS)
