@@ -51,7 +51,10 @@ def blur(name, settings, noise):
     return function
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name == "layered" else name for name in FILTERS],
+)
 def test_every_input_equals_finite_differences(name):
     # Where what a texel gives is blended in the value too, its derivative is that of the value.
     shape, fetch = (5, 7), "blend"

@@ -120,7 +120,7 @@ def blur_pixel(
 
     # L5: the pixel's own way, and the two of the tile as far as they differ from it.
     half = half_acceleration(at, images.path, pixel.taken_from, settings.radius)
-    turn = turn_along(at, images.motion, pixel, parameters.surface_sharpness)
+    turn = turn_along(at, images.motion, pixel, parameters.surface_sharpness, settings)
     others = [
         other_way((x, y), other, parameters.distinct) for other in (velocities[:2], velocities[2:])
     ]
@@ -305,13 +305,16 @@ def half_acceleration(at: At, path: Image | None, taken: Array, radius: int) -> 
     return x * shorter, y * shorter
 
 
-def turn_along(at: At, motion: Image, pixel: Motion, sharpness: float | Array) -> Vector:
+def turn_along(
+    at: At, motion: Image, pixel: Motion, sharpness: float | Array, settings: Settings
+) -> Vector:
     """Change of velocity along the own way, ``(v . grad) v``; 0 beyond the ends of the surface."""
     x, y = pixel.x, pixel.y
     squared = jnp.square(x) + jnp.square(y)
+    clamped = dataclasses.replace(settings, border="clamp")
 
     def change(side: float) -> tuple[Array, Array, Array]:
-        index = find_texel(at, side * x, side * y, motion).number
+        index = find_texel(at, side * x, side * y, motion, clamped).number
         near_x, near_y, depth = motion.read_texel(index, 3)
         near_x, near_y = near_x - x, near_y - y
         depth_apart = jnp.abs(depth - pixel.log_depth) * sharpness
