@@ -26,7 +26,7 @@ SETTINGS = tuple(field.name for field in dataclasses.fields(GuertinSettings))
 """Columns: the settings that every filter has, and those of guertin2014."""
 POSITIVE = ("ms", "cpu_ms", "calibration_ms", "rounds")
 """Figures that others are divided by."""
-_NUMBERS = {"samples": int, "radius": int, "spacing": float}
+_NUMBERS = {"samples": int, "radius": int, "spacing": float, "temperature": float}
 SUBJECT_COLUMNS = ("scene", "width", "height", "shutter", "source")
 IDENTITY_COLUMNS = (*SUBJECT_COLUMNS, "method", *SETTINGS)
 

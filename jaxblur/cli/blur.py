@@ -207,7 +207,8 @@ def _fitted(path: pathlib.Path | None) -> Any:
 
 
 def _check_plan(arguments: argparse.Namespace) -> None:
-    names = ("filter", "samples", "quality", "radius", "spacing", "param", "parameters", *CHOICES)
+    numbers = "samples", "quality", "radius", "spacing", "temperature"
+    names = ("filter", *numbers, "param", "parameters", *CHOICES)
     excluded = names if arguments.plan else ("tolerance", "budget")
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.

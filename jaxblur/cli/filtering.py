@@ -74,6 +74,13 @@ def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_F
         group.add_argument(
             f"--{name.replace('_', '-')}", choices=options, help=f"{only}default {default}"
         )
+    group.add_argument(
+        "--temperature",
+        type=positive_number,
+        metavar="PX",
+        help="guertin2014 only; of --dominant soft, the smaller the nearer to the longest velocity "
+        f"(default {usual.temperature})",
+    )
     return group
 
 
@@ -176,7 +183,7 @@ def complete(
         usual = fitted.filter_settings
         values = checked_parameters(info, fitted.parameters, source) | values
     known = {field.name for field in dataclasses.fields(info.kind)}
-    every = ("samples", "radius", "spacing", *CHOICES)
+    every = ("samples", "radius", "spacing", "temperature", *CHOICES)
     given = {name: value for name in every if (value := getattr(arguments, name))}
     if quality := getattr(arguments, "quality", None):
         if "samples" in given:

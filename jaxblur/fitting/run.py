@@ -82,11 +82,7 @@ def fit(
     in unconstrained parameters (`jaxblur.fitting.constraints`; a parameter between two bounds
     starts at least 5 % of the range inside them), with coarse scans against bad starts
     (`jaxblur.fitting.optimization`). The objective is the error of the filter as it will run: see
-    ``loss`` and ``noise``. Color is read bilinearly during the fit if a free parameter moves the
-    taps (of guertin2014 gamma, eta and phi), since the nearest texel has no derivative in the
-    position of a tap; scores are computed with ``settings`` unchanged. Velocity and depth are
-    always read at the nearest texel, so that the gradient does not include taps that cross a
-    silhouette: `jaxblur.fitting.profile` shows whether that matters for the frames at hand.
+    ``loss`` and ``noise``.
 
     Args:
         filter: the name of a registered filter, or its function.
