@@ -133,8 +133,8 @@ class GradientCheck:
     def __str__(self) -> str:
         height, width = self.size
         head = (
-            f"{self.filter}, {width}x{height}, fetch {self.settings.fetch}: derivatives of the loss "
-            f"{self.loss:.4g} by relative changes;\n"
+            f"{self.filter}, {width}x{height}, fetch {self.settings.fetch}: "
+            f"derivatives of the loss {self.loss:.4g} by relative changes;\n"
             f"central differences at a step of {100 * self.step:g} %, means over {self.draws} "
             "draws of noise, with standard errors"
         )
@@ -205,15 +205,15 @@ def check_gradient(
 
         derivative = mean_u dL_u/dx,    difference = mean_u (L_u(x + h) - L_u(x - h)) / 2h
 
-    The quantities are: each parameter; all velocities times s, at each of `scales`; speed, direction
-    (x in radians) and depth of one object; the six numbers of a camera's motion that is added to
-    the frame's; and directions of your own. Velocity and path always change together, since
+    The quantities are: each parameter; all velocities times s, at each of `scales`; speed,
+    direction (x in radians) and depth of one object; the six numbers of a camera's motion that is
+    added to the frame's; and directions of your own. Velocity and path change together, since
     `layered` follows the path of a frame that has one. A parameter at an end of its range
     is moved inside by one step, one that is 0 changes by x itself.
 
     Derivatives are those of `jax.grad`; ``forward=True`` adds those of `jax.jvp`. They leave out
-    changes of the winner in a tile maximum, of the number of samples, and at the border of the frame.
-    ``tau`` has none but under ``tile_choice="expected"``.
+    changes of the winner in a tile maximum, of the number of samples, and at the border of the
+    frame. ``tau`` has none but under ``tile_choice="expected"``.
 
     Args:
         filter: a registered filter or its name.
@@ -231,8 +231,8 @@ def check_gradient(
         camera_velocity: maps depth (H, W) and a twist (6,) to half-spreads (H, W, 2) in pixels.
             Each number of the twist is scaled so that x = 1 adds, in the root mean square over
             pixels, the speed of the frame. None leaves the camera out.
-        directions: functions of x that give a frame, by name, built of JAX operations; the derivative
-            is taken at x = 0, and x is stepped by h.
+        directions: functions of x that give a frame, by name, built of JAX operations; the
+            derivative is taken at x = 0, and x is stepped by h.
         forward: whether to compute forward mode too. In images it runs without native code and
             is slow.
         seed: of the noise.
@@ -272,7 +272,9 @@ def check_gradient(
         raise ValueError(f"`loss` must be finite, got {start[~np.isfinite(start)][0]}.")
     measured = _measure(programs, quantities, image, noises, step, forward)
     largest = max((abs(m.difference.mean()) for m in measured), default=0.0)
-    rows = [_row(q, m, largest, float(start.mean())) for q, m in zip(quantities, measured)]
+    rows = [
+        _row(q, m, largest, float(start.mean())) for q, m in zip(quantities, measured, strict=True)
+    ]
     size = frame.color.shape[0], frame.color.shape[1]
     return GradientCheck(info.name, chosen, size, step, draws, float(start.mean()), tuple(rows))
 
@@ -406,16 +408,16 @@ def _scaled(frame: Frame, scale: float) -> Direction:
     return lambda x: _with_motion(frame, lambda vectors: vectors * (scale * (1 + x)))
 
 
-def _of_object(frame: Frame, chosen: Any) -> dict[str, Direction]:
-    """Speed, direction and depth of an object."""
+def _checked_mask(frame: Frame, chosen: Any) -> np.ndarray | None:
+    """The pixels of the object, if there is one."""
+    if chosen is None:
+        return None
     if isinstance(chosen, str):
         if chosen != "fastest":
             raise ValueError(
                 f"`object` must be (H, W) booleans, 'fastest' or None, got {chosen!r}."
             )
-        chosen = fastest_object(frame)
-    if chosen is None:
-        return {}
+        return fastest_object(frame)
     mask = np.asarray(chosen)
     if mask.shape != frame.depth.shape or mask.dtype != bool:
         raise ValueError(
@@ -424,6 +426,14 @@ def _of_object(frame: Frame, chosen: Any) -> dict[str, Direction]:
         )
     if not mask.any():
         raise ValueError("`object` must select a pixel; None leaves the object out.")
+    return mask
+
+
+def _of_object(frame: Frame, chosen: Any) -> dict[str, Direction]:
+    """Speed, direction and depth of an object."""
+    mask = _checked_mask(frame, chosen)
+    if mask is None:
+        return {}
 
     def inside(vectors: jax.Array) -> np.ndarray:
         return mask.reshape(mask.shape + (1,) * (vectors.ndim - 2))
@@ -446,7 +456,9 @@ def _of_object(frame: Frame, chosen: Any) -> dict[str, Direction]:
     return {"object speed": speed, "object direction": direction, "object depth": depth}
 
 
-def _of_camera(frame: Frame, camera_velocity: Any) -> dict[str, Direction]:
+def _of_camera(
+    frame: Frame, camera_velocity: Callable[..., jax.Array] | None
+) -> dict[str, Direction]:
     """The six numbers of a camera's motion, added to that of the frame."""
     if camera_velocity is None:
         return {}
@@ -469,7 +481,7 @@ def _of_camera(frame: Frame, camera_velocity: Any) -> dict[str, Direction]:
         factor = unit * float((root_mean_square or 1.0) / (size or 1.0))
 
         def moved(x: Any, factor: np.ndarray = factor) -> Frame:
-            added = camera_velocity(frame.depth, x * jnp.asarray(factor))
+            added = jnp.asarray(camera_velocity(frame.depth, x * jnp.asarray(factor)))
             path = frame.path
             if path is not None:
                 path = path + jnp.stack([-added, added], axis=-2)
