@@ -254,9 +254,12 @@ def check_gradient(
     _check_numbers(step, draws, scales)
     frame, image = _checked_pair(frame, truth)
     chosen = checked_settings(settings or info.settings, info.kind, info.name)
-    values = jax.tree.map(
-        lambda value: jnp.asarray(value, frame.color.dtype), info.checked_parameters(parameters)
-    )
+    # What is needed of the registry is what it has had since 0.1: experiment 013 runs this file
+    # on older trees.
+    if parameters is not None:
+        parameters = info.checked_parameters(parameters)
+    values = info.make_parameters() if parameters is None else parameters
+    values = jax.tree.map(lambda value: jnp.asarray(value, frame.color.dtype), values)
     here = _Point(frame, values)
     quantities = [
         *_of_parameters(info, here, step),
@@ -473,9 +476,10 @@ def _of_camera(
         unit = np.eye(6, dtype=frame.color.dtype)[k]
         added = jnp.asarray(camera_velocity(frame.depth, jnp.asarray(unit)))
         if added.shape != frame.velocity.shape or not np.isfinite(added).all():
+            found = "NaN or infinity" if added.shape == frame.velocity.shape else added.shape
             raise ValueError(
                 f"`camera_velocity` must give finite half-spreads of shape {frame.velocity.shape}, "
-                f"got shape {added.shape}."
+                f"got {found}."
             )
         size = np.sqrt(np.mean(np.square(added)))
         factor = unit * float((root_mean_square or 1.0) / (size or 1.0))

@@ -34,8 +34,8 @@ HERE = Path(__file__).resolve()
 SIZE = (180, 320)
 SHUTTER, TRUTH_SAMPLES = 0.5, 32
 CASES = (
-    *("guertin2014:nearest", "guertin2014:bilinear", "mcguire2012:nearest"),
-    *("mcguire2012:bilinear", "pixel_velocity:nearest", "layered:bilinear"),
+    *("guertin2014:nearest", "layered:bilinear", "pixel_velocity:nearest"),
+    *("mcguire2012:nearest", "guertin2014:bilinear", "mcguire2012:bilinear"),
 )
 WITHIN = (0.05, 0.1, 0.2)
 BARELY = 0.1
@@ -64,14 +64,14 @@ def _part(row: int, column: int) -> tuple[slice, slice]:
 
 
 def write_frames(folder: Path, reference_data: Path | None) -> None:
-    """Write all frames with their truth as NumPy archives, rendered scenes last."""
+    """Write the frames that a folder lacks, with their truth, as NumPy archives."""
     for name in scenes.SCENES:
-        if name != "static":
-            example = catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES, path=True)
-            _write(folder / f"{name}.npz", example)
+        file = folder / f"catalogue_{name}.npz"
+        if name != "static" and not file.exists():
+            _write(file, catalogue_example(name, SIZE, SHUTTER, TRUTH_SAMPLES, path=True))
             print(name, flush=True)
     for example in full_size_examples(reference_data) if reference_data else []:
-        _write(folder / f"z_{example.name}.npz", busiest_part(example))
+        _write(folder / f"rendered_{example.name}.npz", busiest_part(example))
 
 
 def _write(file: Path, example: Example) -> None:
@@ -125,7 +125,7 @@ def join(case: str, before: dict[str, Any], after: dict[str, Any]) -> list[tuple
                 row.get("ratio_error"),
             )
         ]
-        rows.append((case, row["frame"].removeprefix("z_"), name, *figures))
+        rows.append((case, row["frame"].partition("_")[2], name, *figures))
     return rows
 
 
@@ -158,6 +158,7 @@ def main() -> None:
     """Parse the command line, measure, write."""
     parser = output_parser("Derivatives beside differences.", "rendered scenes")
     parser.add_argument("--before", type=Path, required=True, metavar="TREE")
+    parser.add_argument("--frames", type=Path, metavar="DIR", help="keeps the frames between runs")
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--filters", default=",".join(CASES), metavar="NAME:FETCH,...")
     options = parser.parse_args()
@@ -165,11 +166,12 @@ def main() -> None:
     rows: list[tuple[Any, ...]] = []
     summary: list[tuple[Any, ...]] = []
     costs: list[tuple[Any, ...]] = []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as results, tempfile.TemporaryDirectory() as temporary:
+        folder = options.frames or Path(temporary)
+        folder.mkdir(exist_ok=True)
         write_frames(folder, options.reference_data)
         for case in options.filters.split(","):
-            files = {when: folder / f"{when}.json" for when in trees}
+            files = {when: Path(results) / f"{when}.json" for when in trees}
             started = [
                 measure(tree, folder, files[when], case, options.draws)
                 for when, tree in trees.items()
