@@ -254,12 +254,9 @@ def check_gradient(
     _check_numbers(step, draws, scales)
     frame, image = _checked_pair(frame, truth)
     chosen = checked_settings(settings or info.settings, info.kind, info.name)
-    # What is needed of the registry is what it has had since 0.1: experiment 013 runs this file
-    # on older trees.
-    if parameters is not None:
-        parameters = info.checked_parameters(parameters)
-    values = info.make_parameters() if parameters is None else parameters
-    values = jax.tree.map(lambda value: jnp.asarray(value, frame.color.dtype), values)
+    values = jax.tree.map(
+        lambda value: jnp.asarray(value, frame.color.dtype), info.checked_parameters(parameters)
+    )
     here = _Point(frame, values)
     quantities = [
         *_of_parameters(info, here, step),
@@ -557,20 +554,10 @@ def _measure(
     forward: bool,
 ) -> list[_Measured]:
     """Derivatives and differences by every quantity."""
-    places = [jax.jvp(q.move, (0.0,), (1.0,)) for q in quantities]
-    reverse: list[list[float]] = [[] for _ in quantities]
-    waiting = list(range(len(quantities)))
-    while waiting:
-        # Most quantities change from the same place, where one gradient serves all of them.
-        point = places[waiting[0]][0]
-        together = [k for k in waiting if _same(places[k][0], point)]
-        waiting = [k for k in waiting if k not in together]
-        for noise in noises:
-            gradient = programs.gradient(point, truth, noise)
-            for k in together:
-                reverse[k].append(_product(gradient, places[k][1]))
+    places = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in quantities]
+    slopes = _reverse(programs, places, truth, noises)
     measured = []
-    for quantity, (point, tangent), slopes in zip(quantities, places, reverse, strict=True):
+    for quantity, (point, tangent), slope in zip(quantities, places, slopes, strict=True):
         above, below = quantity.move(step), quantity.move(-step)
         steps = [
             float(programs.value(above, truth, n)) - float(programs.value(below, truth, n))
@@ -581,9 +568,29 @@ def _measure(
             of_frame = any(np.any(leaf) for leaf in jax.tree.leaves(tangent.frame))
             program = programs.forward if of_frame else programs.forward_of_parameters
             along = [float(program(point, tangent, truth, noise)) for noise in noises]
-        differences = np.array(steps) / (2 * step)
-        measured.append(_Measured(np.array(slopes), np.array(along), differences))
+        measured.append(_Measured(slope, np.array(along), np.array(steps) / (2 * step)))
     return measured
+
+
+def _reverse(
+    programs: _Programs,
+    places: Sequence[tuple[_Point, _Point]],
+    truth: jax.Array,
+    noises: Sequence[Noise],
+) -> list[np.ndarray]:
+    """Derivatives by reverse mode at points along tangents, each (n,)."""
+    slopes: list[list[float]] = [[] for _ in places]
+    waiting = list(range(len(places)))
+    while waiting:
+        # Most quantities change from the same place, where one gradient serves all of them.
+        point = places[waiting[0]][0]
+        together = [k for k in waiting if _same(places[k][0], point)]
+        waiting = [k for k in waiting if k not in together]
+        for noise in noises:
+            gradient = programs.gradient(point, truth, noise)
+            for k in together:
+                slopes[k].append(_product(gradient, places[k][1]))
+    return [np.array(values) for values in slopes]
 
 
 def _same(one: _Point, other: _Point) -> bool:
@@ -607,7 +614,7 @@ def _row(quantity: _Quantity, measured: _Measured, largest: float, loss: float) 
     slope, change = float(reverse.mean()), float(difference.mean())
     ratio = slope / change if change else math.nan
     error = _standard_error(difference)
-    determined = abs(change) >= max(ENOUGH * largest, SURE * error) and change != 0
+    determined = change != 0 and abs(change) >= max(ENOUGH * largest, SURE * error)
     return GradientRow(
         name=quantity.name,
         at=quantity.at,
@@ -621,7 +628,7 @@ def _row(quantity: _Quantity, measured: _Measured, largest: float, loss: float) 
         if change
         else math.nan,
         sensitivity=change / loss if loss else math.nan,
-        determined=determined,
+        determined=bool(determined),
     )
 
 

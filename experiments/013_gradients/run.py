@@ -1,11 +1,12 @@
-"""Derivatives of the filters beside central differences, in this tree and in an older one.
+"""Derivatives of the filters beside central differences, with and without that in the place.
 
-    python -m experiments.013_gradients.run --before TREE --reference-data DIR -o OUT
-        [--draws N] [--filters NAME:FETCH,...]
+    python -m experiments.013_gradients.run --reference-data DIR -o OUT
+        [--draws N] [--filters NAME:FETCH,...] [--frames DIR]
 
-TREE is a checkout of a commit in which texels are held. For every filter, frame and quantity of
-`jaxblur.check_gradient`: the ratio of derivative and difference. Writes ``ratios`` (every row),
-``summary`` (how many of the determined rows are within 5, 10 and 20 percent) and ``times``.
+For every filter, frame and quantity of `jaxblur.check_gradient`: the ratio of the
+derivative to the difference.
+"Before" is the derivative with the texels held that a program reads. Writes ``ratios`` (every
+determined row), ``summary`` (how many of them are within 5, 10 and 20 percent) and ``times``.
 """
 
 import dataclasses
@@ -32,6 +33,10 @@ from jaxblur import scenes
 
 HERE = Path(__file__).resolve()
 SIZE = (180, 320)
+WORKER = "experiments.013_gradients.worker"
+ROUNDS = 9
+"""Runs of which a time is the median."""
+COSINE = "camera: cosine of six"
 SHUTTER, TRUTH_SAMPLES = 0.5, 32
 CASES = (
     *("guertin2014:nearest", "layered:bilinear", "pixel_velocity:nearest"),
@@ -75,71 +80,73 @@ def write_frames(folder: Path, reference_data: Path | None) -> None:
 
 
 def _write(file: Path, example: Example) -> None:
-    buffers = {k: v for k, v in vars(example.frame).items() if v is not None}
-    np.savez(
-        file, truth=np.asarray(example.truth), **{k: np.asarray(v) for k, v in buffers.items()}
-    )
+    arrays = vars(example.frame) | {"truth": example.truth}
+    known: Any = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
+    np.savez(file, **known)
 
 
-def measure(tree: Path, frames: Path, result: Path, case: str, draws: int) -> subprocess.Popen:
-    """Start a process that measures one filter in a tree."""
-    worker = HERE.with_name("worker.py")
-    arguments = [frames, result, *case.split(":"), draws, 9]
-    environment = os.environ | {"PYTHONPATH": str(tree), "JAX_PLATFORMS": "cpu"}
-    command = [sys.executable, str(worker), *map(str, arguments)]
-    return subprocess.Popen(command, cwd=tree, env=environment)
+def measure(frames: Path, case: str, draws: int) -> dict[str, dict[str, Any]]:
+    """What the processes of a filter find, by whether texels are held (before) or move (after)."""
+    with tempfile.TemporaryDirectory() as folder:
+        started = {}
+        for when, texels in (("before", "held"), ("after", "moving")):
+            arguments = [frames, Path(folder) / when, *case.split(":"), draws, ROUNDS, texels]
+            command = [sys.executable, "-m", WORKER, *map(str, arguments)]
+            environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+            started[when] = subprocess.Popen(command, cwd=HERE.parents[2], env=environment)
+        if any([process.wait() for process in started.values()]):
+            raise SystemExit(f"{case}: a process failed")
+        return {when: json.loads((Path(folder) / when).read_text()) for when in started}
 
 
-def read_result(result: Path, tree: Path) -> dict[str, Any]:
-    """What a process found.
-
-    Raises:
-        SystemExit: it imported another jaxblur.
-    """
-    found = json.loads(result.read_text(encoding="utf-8"))
-    if Path(found["package"]) != tree / "jaxblur":
-        raise SystemExit(f"{tree}: its process imports {found['package']}")
-    return found
-
-
-def join(case: str, before: dict[str, Any], after: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """Rows of the table: determined quantities and cosines, both trees."""
-    older = {(row["frame"], row["name"], row.get("at")): row for row in before["rows"]}
-    rows = []
-    for row in after["rows"]:
-        if not row["determined"]:
+def join(case: str, before: list[dict[str, Any]], after: list[dict[str, Any]]) -> list[Any]:
+    """Rows of the table: the determined quantities, and cosines of the camera's six numbers."""
+    rows: list[tuple[Any, ...]] = []
+    for old, new in zip(before, after, strict=True):
+        assert (old["frame"], old["name"], old["at"]) == (new["frame"], new["name"], new["at"])
+        if not new["determined"]:
             continue
-        old = older[row["frame"], row["name"], row.get("at")]
-        name = row["name"]
+        name = new["name"]
         if name == "all velocities":
-            name += f" times {row['at']:g}"
-        figures = [
-            "" if number is None else float(f"{number:.3g}")
-            for number in (
-                row.get("difference"),
-                row.get("difference_error"),
-                row.get("sensitivity"),
-                old["ratio"],
-                old.get("ratio_error"),
-                row["ratio"],
-                row.get("ratio_error"),
-            )
+            name += f" times {new['at']:g}"
+        held = old["reverse"] / new["difference"]
+        keys = ("difference", "difference_error", "sensitivity", "ratio", "ratio_error")
+        figures = [_digits(new[key]) for key in keys]
+        rows.append((case, new["frame"].partition("_")[2], name, *figures, _digits(held)))
+    for frame in dict.fromkeys(row["frame"] for row in after):
+        twists = [
+            k for k, row in enumerate(after) if row["frame"] == frame and "twist" in row["name"]
         ]
-        rows.append((case, row["frame"].partition("_")[2], name, *figures))
+        if not any(after[k]["determined"] for k in twists):
+            continue
+        difference, *derivatives = (
+            np.array([table[k][key] for k in twists])
+            for table, key in ((after, "difference"), (after, "reverse"), (before, "reverse"))
+        )
+        cosines = [
+            float(d @ difference / (np.linalg.norm(d) * np.linalg.norm(difference) or np.inf))
+            for d in derivatives
+        ]
+        moved, held = map(_digits, cosines)
+        rows.append((case, frame.partition("_")[2], COSINE, *[""] * 3, moved, "", held))
     return rows
+
+
+def _digits(number: float) -> float:
+    return float(f"{number:.3g}")
 
 
 def summarize(case: str, rows: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     """By kind of quantity: how many ratios are near 1, before and after."""
     kinds: dict[str, list[tuple[float, float]]] = {}
     for _, _, name, *figures in rows:
-        before, after, error = figures[3], figures[5], figures[6]
+        after, error, before = figures[3:]
         kind = "parameters"
         for word in ("all velocities", "object speed", "object direction", "object depth"):
             kind = word if name.startswith(word) else kind
         kind = "camera" if name.startswith("twist") else kind
-        if name.startswith("cosine"):
-            kind = "cosine of the camera's six"
+        if name == COSINE:
+            kind = name
         elif error > BARELY:
             continue
         kinds.setdefault(kind, []).append((before, after))
@@ -157,30 +164,20 @@ def summarize(case: str, rows: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...
 def main() -> None:
     """Parse the command line, measure, write."""
     parser = output_parser("Derivatives beside differences.", "rendered scenes")
-    parser.add_argument("--before", type=Path, required=True, metavar="TREE")
     parser.add_argument("--frames", type=Path, metavar="DIR", help="keeps the frames between runs")
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--filters", default=",".join(CASES), metavar="NAME:FETCH,...")
     options = parser.parse_args()
-    trees = {"before": options.before.resolve(), "after": HERE.parents[2]}
-    rows: list[tuple[Any, ...]] = []
-    summary: list[tuple[Any, ...]] = []
-    costs: list[tuple[Any, ...]] = []
-    with tempfile.TemporaryDirectory() as results, tempfile.TemporaryDirectory() as temporary:
-        folder = options.frames or Path(temporary)
-        folder.mkdir(exist_ok=True)
-        write_frames(folder, options.reference_data)
+    rows: list[Any] = []
+    summary: list[Any] = []
+    costs: list[Any] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        frames = options.frames or Path(temporary)
+        frames.mkdir(exist_ok=True)
+        write_frames(frames, options.reference_data)
         for case in options.filters.split(","):
-            files = {when: Path(results) / f"{when}.json" for when in trees}
-            started = [
-                measure(tree, folder, files[when], case, options.draws)
-                for when, tree in trees.items()
-            ]
-            if any(process.wait() for process in started):
-                raise SystemExit(f"{case}: a process failed")
-            found = {when: read_result(files[when], tree) for when, tree in trees.items()}
-            label = case.replace(":", ", ")
-            joined = join(label, found["before"], found["after"])
+            found, label = measure(frames, case, options.draws), case.replace(":", ", ")
+            joined = join(label, found["before"]["rows"], found["after"]["rows"])
             rows += joined
             summary += summarize(label, joined)
             costs += _costs(label, found)
@@ -199,7 +196,7 @@ def _costs(case: str, found: dict[str, dict[str, Any]]) -> list[tuple[Any, ...]]
 def write_all(output: Path, rows: Sequence[Any], summary: Sequence[Any], costs: Sequence[Any]):
     """Write the three tables."""
     columns = ("filter", "frame", "quantity", "difference", "standard error", "sensitivity")
-    columns += ("ratio before", "its error", "ratio after", "its error after")
+    columns += ("ratio after", "its standard error", "ratio before")
     write_table(output, "ratios", columns, rows)
     shares = "within " + " / ".join(f"{100 * share:g}" for share in WITHIN) + " %"
     columns = ("filter", "quantity", "rows", "median before", f"{shares} before")

@@ -1,12 +1,11 @@
-"""One tree's side of `run`: tables of `check_gradient`, and times of derivatives.
+"""Derivatives of one filter for many frames, and their times; a process of `run`.
 
-    python worker.py FRAMES RESULT FILTER FETCH DRAWS ROUNDS
+    python -m experiments.013_gradients.worker FRAMES RESULT FILTER FETCH DRAWS ROUNDS held|moving
 
-Runs by its path under either tree, but takes `jaxblur.gradient_check` from this one. FRAMES is a
-folder of frames with their truth as NumPy archives, RESULT the JSON file that is written.
+FRAMES is a folder of frames with their truth as NumPy archives, RESULT the JSON file that is
+written. ``held`` is the derivative as it was: that with the texels held that a program reads.
 """
 
-import importlib.util
 import json
 import statistics
 import sys
@@ -19,20 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxblur
+from jaxblur import gradient_check as check
 from jaxblur.filters import filter_info
-
-CHECK = "jaxblur.gradient_check"
-
-
-def load_check() -> Any:
-    """This tree's module, on the jaxblur that is imported."""
-    source = Path(__file__).resolve().parents[2] / "jaxblur" / "gradient_check.py"
-    spec = importlib.util.spec_from_file_location(CHECK, source)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[CHECK] = module
-    spec.loader.exec_module(module)
-    return module
+from jaxblur.kernels import places
 
 
 def camera_velocity(depth: jax.Array, twist: jax.Array) -> jax.Array:
@@ -60,7 +48,7 @@ def read(file: Path) -> tuple[jaxblur.Frame, np.ndarray]:
     return jaxblur.Frame(**arrays), truth
 
 
-def tables(check: Any, files: list[Path], name: str, settings: Any, draws: int) -> list[Any]:
+def tables(files: list[Path], name: str, settings: Any, draws: int) -> list[Any]:
     """Rows of `check_gradient` for every frame, as dictionaries."""
     rows = []
     for file in files:
@@ -70,13 +58,19 @@ def tables(check: Any, files: list[Path], name: str, settings: Any, draws: int) 
         )
         print(file.stem, table, sep=", ", flush=True)
         rows += [{"frame": file.stem, **vars(row)} for row in table.rows]
-        cosine = {"frame": file.stem, "name": "cosine of twist", "ratio": table.cosine("twist")}
-        # A camera's motion of no effect on the loss has no direction.
-        rows.append(cosine | {"determined": any(r.determined for r in table.rows[-6:])})
     return rows
 
 
-def times(check: Any, file: Path, name: str, settings: Any, rounds: int) -> dict[str, Any]:
+def without_differences(
+    programs: Any, quantities: Any, truth: Any, noises: Any, step: float, forward: bool
+) -> Any:
+    """In place of `check._measure`: derivatives alone, for values are the same with texels held."""
+    points = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in quantities]
+    slopes = check._reverse(programs, points, truth, noises)
+    return [check._Measured(slope, np.array([]), np.ones(len(noises))) for slope in slopes]
+
+
+def times(file: Path, name: str, settings: Any, rounds: int) -> dict[str, Any]:
     """Processor milliseconds, medians: of a loss and of its gradients."""
     frame, truth = read(file)
     info = filter_info(name)
@@ -105,13 +99,15 @@ def times(check: Any, file: Path, name: str, settings: Any, rounds: int) -> dict
 
 def main() -> None:
     """Measure one filter, and write what was found."""
-    folder, result, name, fetch, draws, rounds = sys.argv[1:]
+    folder, result, name, fetch, draws, rounds, texels = sys.argv[1:]
+    if texels == "held":
+        places._Stage.places = ()  # pyright: ignore[reportAttributeAccessIssue]
+        check._measure = without_differences
     files = sorted(Path(folder).glob("*.npz"))
-    check, settings = load_check(), filter_info(name).make_settings(fetch=fetch)
+    settings = filter_info(name).make_settings(fetch=fetch)
     found = {
-        "package": str(Path(jaxblur.__file__).parent),
-        "rows": tables(check, files, name, settings, int(draws)),
-        "times": times(check, files[-1], name, settings, int(rounds)),
+        "rows": tables(files, name, settings, int(draws)),
+        "times": times(files[-1], name, settings, int(rounds)),
     }
     Path(result).write_text(json.dumps(found), encoding="utf-8")
 
