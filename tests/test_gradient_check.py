@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -61,35 +62,36 @@ def scene():
     return silhouette()
 
 
-FETCHES = {"layered": ("bilinear",)}
-CASES = [(n, f) for n in jaxblur.FILTERS for f in FETCHES.get(n, ("nearest", "bilinear"))]
-SLOW = {("mcguire2012", "bilinear"), ("guertin2014", "bilinear"), ("layered", "nearest")}
+DATA = Path(__file__).parent / "data"
 
 
-def agree(table, low, high):
-    """Whether determined ratios are in a range, but for three of their standard errors."""
+def rendered(name):
+    """A frame of `tests/data` with its truth."""
+    frame = jaxblur.read_frame(DATA / f"{name}_frame_0011.exr", shutter=0.5)
+    return frame, jaxblur.exr.read_image(DATA / f"{name}_truth_0011.exr")
+
+
+def agree(table, bar):
+    """Whether every determined ratio is 1 to within a bar and three of its standard errors.
+
+    Of all velocities, those at which the loss is near its least value are measured by the steepest
+    slope among them: a ratio to a difference near 0 says nothing.
+    """
     rows = [row for row in table.rows if row.determined]
-    assert {row.at for row in rows if row.name == "all velocities"} >= {0.8, 1.2}, str(table)
+    velocities = [row for row in table.rows if row.name == "all velocities"]
+    steepest = max(abs(row.difference) for row in velocities)
+    assert sum(row.determined for row in velocities) >= 2, str(table)
     for row in rows:
-        margin = 3 * row.ratio_error
-        assert low - margin <= row.ratio <= high + margin, f"{row}\n{table}"
-    return rows
+        scale = steepest if row in velocities else abs(row.difference)
+        margin = bar * scale + 3 * row.ratio_error * abs(row.difference)
+        assert abs(row.reverse - row.difference) <= margin, f"{row.name} at {row.at}\n{table}"
 
 
-@pytest.mark.parametrize(
-    ("name", "fetch"),
-    [
-        pytest.param(*case, marks=[pytest.mark.slow] if case in SLOW else [])
-        for case in (*CASES, ("layered", "nearest"))
-    ],
-)
-def test_derivatives_do_what_the_picture_does(scene, name, fetch):
-    frame, truth, disc = scene
-    info = jaxblur.filter_info(name)
-    choice = {"tile_choice": "own"} if name == "guertin2014" else {}
-    settings = info.make_settings(fetch=fetch, **choice)
-    table = check_gradient(name, frame, truth, settings=settings, object=disc, draws=32)
-    agree(table, 0.9, 1.1)
+@pytest.mark.parametrize("name", ["pixel_velocity", "guertin2014", "layered"])
+def test_derivatives_do_what_the_picture_does(name):
+    frame, truth = rendered("cube_over_crates")
+    table = check_gradient(name, frame, truth, draws=16)
+    agree(table, 0.1)
 
 
 @pytest.mark.parametrize(

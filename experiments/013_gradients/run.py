@@ -112,7 +112,7 @@ def join(case: str, before: list[dict[str, Any]], after: list[dict[str, Any]]) -
         held = old["reverse"] / new["difference"]
         keys = ("difference", "difference_error", "sensitivity", "ratio", "ratio_error")
         figures = [_digits(new[key]) for key in keys]
-        rows.append((case, new["frame"].partition("_")[2], name, *figures, _digits(held)))
+        rows.append((case, _scene(new["frame"]), name, *figures, _digits(held)))
     for frame in dict.fromkeys(row["frame"] for row in after):
         twists = [
             k for k, row in enumerate(after) if row["frame"] == frame and "twist" in row["name"]
@@ -128,8 +128,12 @@ def join(case: str, before: list[dict[str, Any]], after: list[dict[str, Any]]) -
             for d in derivatives
         ]
         moved, held = map(_digits, cosines)
-        rows.append((case, frame.partition("_")[2], COSINE, *[""] * 3, moved, "", held))
+        rows.append((case, _scene(frame), COSINE, *[""] * 3, moved, "", held))
     return rows
+
+
+def _scene(frame: str) -> str:
+    return frame.replace("_", ", ", 1)
 
 
 def _digits(number: float) -> float:
