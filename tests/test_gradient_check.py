@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -87,11 +88,36 @@ def agree(table, bar):
         assert abs(row.reverse - row.difference) <= margin, f"{row.name} at {row.at}\n{table}"
 
 
-@pytest.mark.parametrize("name", ["pixel_velocity", "guertin2014", "layered"])
+@pytest.mark.parametrize("name", jaxblur.FILTERS)
 def test_derivatives_do_what_the_picture_does(name):
     frame, truth = rendered("cube_over_crates")
-    table = check_gradient(name, frame, truth, draws=16)
-    agree(table, 0.1)
+    # At 1.2 the cube is as fast as the radius of mcguire2012, where its speed stops to matter.
+    scales = (0.8, 1.0) if name == "mcguire2012" else (0.8, 1.0, 1.2)
+    agree(check_gradient(name, frame, truth, scales=scales, draws=16), 0.1)
+
+
+BARS = {"pixel_velocity": 0.1, "layered": 0.15, "guertin2014": 0.25}
+"""Experiment 013 has the worst cases. Without mcguire2012, whose tiles and rounded distances make
+steps that noise does not average."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BARS)
+def test_velocities_on_other_frames(name):
+    examples: list[Any] = [
+        rendered("cube_over_crates"),
+        rendered("sky_car"),
+        rendered("falling_cubes"),
+    ]
+    for scene in ("gears", "crossing"):
+        made = jaxblur.scenes.SCENES[scene]()
+        size = (112, 160)
+        frame = jaxblur.scenes.render(made, 0.0, 0.5, size)
+        examples.append((frame, jaxblur.scenes.accumulate(made, 0.0, 0.5, 32, size)))
+    for frame, truth in examples:
+        table = check_gradient(name, frame, truth, object=None, draws=16)
+        rows = [row for row in table.rows if row.name == "all velocities"]
+        agree(dataclasses.replace(table, rows=tuple(rows)), BARS[name])
 
 
 @pytest.mark.parametrize(

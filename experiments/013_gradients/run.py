@@ -6,7 +6,8 @@
 For every filter, frame and quantity of `jaxblur.check_gradient`: the ratio of the
 derivative to the difference.
 "Before" is the derivative with the texels held that a program reads. Writes ``ratios`` (every
-determined row), ``summary`` (how many of them are within 5, 10 and 20 percent) and ``times``.
+determined row), ``summary`` (how many of them are within 5, 10 and 20 percent), ``slopes`` (the
+error by all velocities as a share of the steepest slope) and ``times``.
 """
 
 import dataclasses
@@ -165,6 +166,24 @@ def summarize(case: str, rows: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...
     return table
 
 
+def slopes(case: str, rows: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """By frame: the worst derivative by all velocities, its error as a share of the steepest slope.
+
+    Near the least loss a ratio divides by almost nothing, and this does not.
+    """
+    frames: dict[str, list[tuple[float, float, float]]] = {}
+    for _, frame, name, difference, _, _, after, _, before in rows:
+        if name.startswith("all velocities"):
+            frames.setdefault(frame, []).append((float(difference), before, after))
+    table = []
+    for frame, found in frames.items():
+        difference, *ratios = np.array(found).T
+        apart = [np.abs((ratio - 1) * difference).max() for ratio in ratios]
+        shares = [f"{share / np.abs(difference).max():.3f}" for share in apart]
+        table.append((case, frame, *shares))
+    return table
+
+
 def main() -> None:
     """Parse the command line, measure, write."""
     parser = output_parser("Derivatives beside differences.", "rendered scenes")
@@ -175,6 +194,7 @@ def main() -> None:
     rows: list[Any] = []
     summary: list[Any] = []
     costs: list[Any] = []
+    worst: list[Any] = []
     with tempfile.TemporaryDirectory() as temporary:
         frames = options.frames or Path(temporary)
         frames.mkdir(exist_ok=True)
@@ -184,8 +204,9 @@ def main() -> None:
             joined = join(label, found["before"]["rows"], found["after"]["rows"])
             rows += joined
             summary += summarize(label, joined)
+            worst += slopes(label, joined)
             costs += _costs(label, found)
-            write_all(options.output, rows, summary, costs)
+            write_all(options.output, rows, summary, worst, costs)
 
 
 def _costs(case: str, found: dict[str, dict[str, Any]]) -> list[tuple[Any, ...]]:
@@ -197,16 +218,25 @@ def _costs(case: str, found: dict[str, dict[str, Any]]) -> list[tuple[Any, ...]]
     return table
 
 
-def write_all(output: Path, rows: Sequence[Any], summary: Sequence[Any], costs: Sequence[Any]):
-    """Write the three tables."""
-    columns = ("filter", "frame", "quantity", "difference", "standard error", "sensitivity")
-    columns += ("ratio after", "its standard error", "ratio before")
-    write_table(output, "ratios", columns, rows)
+def write_all(output: Path, *tables: Sequence[Any]) -> None:
+    """Write rows, summary, slopes and times."""
     shares = "within " + " / ".join(f"{100 * share:g}" for share in WITHIN) + " %"
-    columns = ("filter", "quantity", "rows", "median before", f"{shares} before")
-    write_table(output, "summary", (*columns, "median after", f"{shares} after"), summary)
-    columns = ("filter", "program", "CPU ms before", "after", "forward passes before")
-    write_table(output, "times", (*columns, "forward passes after"), costs)
+    measured = ("difference", "its standard error", "sensitivity")
+    judged = ("ratio after", "its standard error", "ratio before")
+    columns = {
+        "ratios": ("filter", "frame", "quantity", *measured, *judged),
+        "summary": (
+            *("filter", "quantity", "rows", "median before", f"{shares} before"),
+            *("median after", f"{shares} after"),
+        ),
+        "slopes": ("filter", "frame", "worst error before", "after"),
+        "times": (
+            *("filter", "program", "CPU ms before", "after"),
+            *("forward passes before", "forward passes after"),
+        ),
+    }
+    for (name, heads), rows in zip(columns.items(), tables, strict=True):
+        write_table(output, name, heads, rows)
 
 
 if __name__ == "__main__":
