@@ -33,6 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "sequence": {"exr"},
     "batch": {"filters", "frame", "noise", "settings"},
     "devices": {"batch", "filters", "frame", "noise", "settings"},
+    "gradient_check": {"filters", "frame", "noise", "settings"},
     "planning": {"filters", "frame", "settings", "vectors"},
     "show": {"_util", "filters", "frame", "metrics", "noise", "safe_math", "settings"},
     "report": {"_util", "exr", "metrics"},
