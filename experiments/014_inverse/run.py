@@ -33,7 +33,7 @@ SMOOTH = 1e-3
 """The loss is the mean of ``sqrt(d^2 + SMOOTH^2)``: occlusions that no model explains count little."""
 
 EXPOSURES = 8
-COLORS = 48
+COLORS = 160
 """Of a committed picture."""
 
 
@@ -129,8 +129,8 @@ def write(folder: Path, problem: problems.Problem, descents: Mapping[str, Descen
         lines.append(f"{i}," + ",".join(f"{error:.4f}" for error in errors))
     (folder / f"{problem.name}_steps.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     figure = show.new_figure(9.5, 4.4)
-    grid = figure.add_gridspec(2, 4, height_ratios=[1.5, 1])
-    by_step, by_time = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:])
+    upper, lower = figure.subfigures(2, 1, height_ratios=[1.5, 1])
+    by_step, by_time = upper.subplots(1, 2)
     for name, record in descents.items():
         by_step.plot(record.errors, label=name)
         # Every step of a model does the same work.
@@ -158,8 +158,8 @@ def write(folder: Path, problem: problems.Problem, descents: Mapping[str, Descen
             axis=1,
         ),
     }
-    for column, (title, image) in enumerate(pictures.items()):
-        axes = figure.add_subplot(grid[1, column])
+    cells = lower.subplots(1, len(pictures))
+    for axes, (title, image) in zip(cells, pictures.items(), strict=True):
         axes.imshow(np.asarray(metrics.display(image)))
         axes.set_title(title, fontsize=8)
         axes.set(xticks=[], yticks=[])
