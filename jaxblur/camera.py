@@ -153,8 +153,10 @@ def camera_path(
             "jaxblur.Intrinsics.from_field_of_view(degrees, (height, width))."
         )
     dtype = jnp.result_type(jnp.float32, depth.dtype, twist.dtype)
-    given = depth, twist, intrinsics, shutter
-    return _camera_path(*jax.tree.map(lambda a: jnp.asarray(a, dtype), given))
+    camera = Intrinsics(*(jnp.asarray(value, dtype) for value in intrinsics))
+    return _camera_path(
+        depth.astype(dtype), twist.astype(dtype), camera, jnp.asarray(shutter, dtype)
+    )
 
 
 @jax.jit

@@ -1,4 +1,4 @@
-"""How a sharp frame and a motion make a blurred picture: the filter, and averaged virtual frames."""
+"""From a sharp frame and a motion to a blurred picture: the filter, and averaged virtual frames."""
 
 from collections.abc import Callable
 

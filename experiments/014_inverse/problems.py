@@ -1,6 +1,7 @@
 """Inverse problems with known answers: a sharp frame, its true blur, and an unknown motion."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -119,7 +120,7 @@ def network_problem(camera: Problem, steps: int) -> Problem:
             jnp.asarray(generator.normal(size=(a, b)) / np.sqrt(a), jnp.float32),
             jnp.asarray(0.3 * generator.normal(size=b), jnp.float32),
         )
-        for a, b in zip(widths, widths[1:], strict=False)
+        for a, b in itertools.pairwise(widths)
     ]
 
     def velocity_of(weights: Any) -> jax.Array:

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from experiments import common
 import jaxblur
+from experiments import common
 from jaxblur import metrics, scenes, show
 
 from . import models, problems
@@ -30,7 +30,7 @@ WANTED = 0.3
 """Pixels of half-spread."""
 
 SMOOTH = 1e-3
-"""The loss is the mean of ``sqrt(d^2 + SMOOTH^2)``: occlusions that no model explains count little."""
+"""The loss is the mean of ``sqrt(d^2 + SMOOTH^2)``: what no motion explains counts little."""
 
 EXPOSURES = 8
 COLORS = 160
@@ -109,10 +109,9 @@ def rows_of(descents: Mapping[str, Descent]) -> list[list[Any]]:
     for name, record in descents.items():
         steps, median = steps_to(record.errors, WANTED), float(np.median(record.times))
         reached = "-" if steps is None else f"{steps * median:.2f}"
-        rows.append(
-            [name, record.errors[0], record.errors[-1], min(record.errors), steps or "-"]
-            + [1e3 * median, 1e3 * float(np.min(record.times)), reached, record.compiling]
-        )
+        errors = record.errors[0], record.errors[-1], min(record.errors)
+        milliseconds = 1e3 * median, 1e3 * float(np.min(record.times))
+        rows.append([name, *errors, steps or "-", *milliseconds, reached, record.compiling])
     return rows
 
 
@@ -129,8 +128,8 @@ def write(folder: Path, problem: problems.Problem, descents: Mapping[str, Descen
         lines.append(f"{i}," + ",".join(f"{error:.4f}" for error in errors))
     (folder / f"{problem.name}_steps.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     figure = show.new_figure(9.5, 4.4)
-    upper, lower = figure.subfigures(2, 1, height_ratios=[1.5, 1])
-    by_step, by_time = upper.subplots(1, 2)
+    rows: Any = figure.subfigures(2, 1, height_ratios=[1.5, 1])
+    by_step, by_time = rows[0].subplots(1, 2)
     for name, record in descents.items():
         by_step.plot(record.errors, label=name)
         # Every step of a model does the same work.
@@ -158,7 +157,7 @@ def write(folder: Path, problem: problems.Problem, descents: Mapping[str, Descen
             axis=1,
         ),
     }
-    cells = lower.subplots(1, len(pictures))
+    cells = rows[1].subplots(1, len(pictures))
     for axes, (title, image) in zip(cells, pictures.items(), strict=True):
         axes.imshow(np.asarray(metrics.display(image)))
         axes.set_title(title, fontsize=8)
