@@ -9,6 +9,11 @@ from . import (
     vectors as vectors,
 )
 from .batch import blur_batch as blur_batch
+from .camera import (
+    Intrinsics as Intrinsics,
+    camera_path as camera_path,
+    camera_velocity as camera_velocity,
+)
 from .exr import read_frame as read_frame, write_image as write_image
 from .filters import (
     FILTERS as FILTERS,

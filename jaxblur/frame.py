@@ -24,10 +24,15 @@ and a frame at time ``t`` is the image at the center of the exposure ``[t - shut
 t + shutter/2]``. ``velocity`` and ``-velocity`` describe the same blur. A
 ``path`` knows of bends: half of the way between its ends is ``velocity`` for straight motion, and
 longer for what turns by more than the straight displacement between frames shows.
+
+`layered` follows the path of a frame that has one. Its derivative is then in the path, and the one
+in the velocity is 0; the other filters know the velocity alone. `Frame.from_motion` makes both from
+one source, so that the derivative in that source is right for every filter.
 """
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 import jax
@@ -36,6 +41,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import core
 from jax.typing import ArrayLike
+
+from .camera import Intrinsics, camera_path
 
 Record = TypeVar("Record", bound=type)
 
@@ -65,7 +72,8 @@ class Frame:
     """One sharp frame: color, depth and velocity buffers, optionally curved paths and a mask.
 
     A pytree of arrays without a batch axis; batch with ``jax.vmap``. Units, axes and signs are
-    those of the module docstring.
+    those of the module docstring. To differentiate in a motion make the frame with `from_motion`:
+    where a frame has a path, `layered` follows it, and its derivative in ``velocity`` is 0.
 
     Attributes:
         color: (H, W, C) linear light.
@@ -92,6 +100,66 @@ class Frame:
             path: ArrayLike | None = None,
             valid: ArrayLike | None = None,
         ) -> None: ...
+
+    @classmethod
+    def from_motion(
+        cls,
+        color: ArrayLike,
+        depth: ArrayLike,
+        *,
+        path: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        twist: ArrayLike | Sequence[float] | None = None,
+        intrinsics: Intrinsics | None = None,
+        shutter: ArrayLike = 1.0,
+        valid: ArrayLike | None = None,
+    ) -> "Frame":
+        """Make a frame from one source of motion, in which every filter is differentiable.
+
+        A frame from a velocity has no path. One from a path has the velocity ``(path at closing -
+        path at opening) / 2``, so that filters that know no paths depend on it too. One from the
+        twist of the camera has the path and velocity of a static scene, see `camera_path`.
+
+        Args:
+            color: (H, W, C) linear light.
+            depth: (H, W) positive planar depth, ``+inf`` for sky.
+            path: (H, W, 2, 2) displacement at shutter opening and closing in pixels.
+            velocity: (H, W, 2) half-spread in pixels.
+            twist: (6,) motion of the camera per frame, or, with the default shutter, during the
+                exposure; see `camera_path`.
+            intrinsics: focal lengths and center in pixels; with `twist` only.
+            shutter: exposure time in frames; with `twist` only.
+            valid: (H, W) mask of known colors, or None.
+
+        Returns:
+            The frame.
+
+        Raises:
+            ValueError: there is not exactly one of path, velocity and twist, `intrinsics` is
+                missing or left over, or a shape is wrong.
+        """
+        sources = {"path": path, "velocity": velocity, "twist": twist}
+        given = [name for name, value in sources.items() if value is not None]
+        if len(given) != 1:
+            raise ValueError(
+                "`path`, `velocity` and `twist` must be exactly one source of motion, got "
+                f"{' and '.join(given) or 'none'}."
+            )
+        if (twist is None) != (intrinsics is None):
+            raise ValueError(
+                "`intrinsics` must be given with `twist` and only then, for instance "
+                "jaxblur.Intrinsics.from_field_of_view(degrees, (height, width))."
+            )
+        if twist is not None and intrinsics is not None:
+            path = camera_path(depth, twist, intrinsics, shutter)
+        if path is not None:
+            path, expected = jnp.asarray(path), (*jnp.shape(depth), 2, 2)
+            if path.shape != expected:
+                raise ValueError(
+                    f"`path` must have shape {expected} to match `depth`, got {path.shape}."
+                )
+            velocity = (path[..., 1, :] - path[..., 0, :]) / 2
+        return check_frame(cls(color, depth, jnp.asarray(velocity), path, valid))
 
     def replace(self, **changes: ArrayLike | None) -> "Frame":
         """The frame with some buffers replaced.

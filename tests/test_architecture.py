@@ -11,14 +11,15 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
 # Frames, numbers and light: what every layer may know.
-FRAMES = {"frame", "noise", "nonfinite", "safe_math", "settings", "srgb"}
+FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "srgb"}
 CORE = FRAMES | {"kernels", "filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 
 MAY_IMPORT: dict[str, set[str]] = {
     "_util": set(),
-    "frame": set(),
+    "camera": set(),
+    "frame": {"camera"},
     "safe_math": set(),
     "settings": set(),
     "srgb": set(),

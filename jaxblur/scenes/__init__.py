@@ -8,7 +8,13 @@ from .accumulation import accumulate as accumulate
 from .catalogue import SCENES as SCENES
 from .materials import Material as Material
 from .mesh import Mesh as Mesh, load_mesh as load_mesh
-from .motion import Camera as Camera, Motion as Motion, camera as camera, rigid as rigid
+from .motion import (
+    Camera as Camera,
+    Motion as Motion,
+    camera as camera,
+    rigid as rigid,
+    twisting as twisting,
+)
 from .motion_paths import MotionPathStatistics as MotionPathStatistics, motion_paths as motion_paths
 from .rendering import displacement as displacement, object_ids as object_ids, render as render
 from .scene import (

@@ -205,6 +205,36 @@ def camera(
     return Camera(motion, jnp.float32(0.5 / np.tan(np.radians(field_of_view) / 2)))
 
 
+def twisting(camera: Camera, twist: Vector) -> Camera:
+    """Let a camera move on a screw, from where it is at time 0.
+
+    The twist is that of `jaxblur.camera_path`, which has another way to compute it: here the motion
+    is an orbit about the axis of the screw, and travel along it (Chasles).
+
+    Args:
+        camera: placed; its own motion is replaced.
+        twist: (6,) rotation vector in radians per frame and translation in scene units per frame,
+            in camera axes (x right, y down, z forward).
+
+    Returns:
+        The camera, seen at time 0 as before.
+    """
+    rotation, position = (np.asarray(a, float) for a in transform(camera.motion, jnp.float32(0)))
+    turn, travel = rotation @ twist[:3], rotation @ twist[3:]
+    squared = turn @ turn
+    if squared == 0:
+        return Camera(rigid(position, orientation=rotation, velocity=travel), camera.focal)
+    motion = rigid(
+        position,
+        orientation=rotation,
+        velocity=(turn @ travel / squared) * turn,
+        orbit_axis=turn,
+        orbit_pivot=position + np.cross(turn, travel) / squared,
+        orbit=(0.0, float(np.sqrt(squared))),
+    )
+    return Camera(motion, camera.focal)
+
+
 def look_at(position: Vector, target: Vector) -> np.ndarray:
     """Orient a camera so that z points from `position` to `target` and the image is upright.
 

@@ -1,0 +1,210 @@
+# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+"""The motion that a moving camera gives a static scene, differentiable in camera and depth.
+
+Camera space has x right, y down and z forward, so that its x and y have the signs of the image. A
+**twist** is the motion of the camera in its own axes, six numbers: a rotation vector in radians, by
+the right-hand rule, and a translation in the units of depth.
+
+================ =============================== ==========================
+positive         the camera                      the image
+================ =============================== ==========================
+rotation about x tilts up                        moves down
+rotation about y turns right                     moves left
+rotation about z rolls clockwise                 turns counterclockwise
+translation x    moves right                     moves left, near points more
+translation y    moves down                      moves up, near points more
+translation z    moves forward                   moves away from the center
+================ =============================== ==========================
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.export
+import jax.numpy as jnp
+from jax import core
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+NEAREST = 0.05
+"""Share of its depth to which a point comes near the camera at most."""
+
+_TERMS = 14
+"""Terms of the series of sine and cosine: up to a full turn in half of the exposure."""
+
+
+class Intrinsics(NamedTuple):
+    """A pinhole camera: a point (x, y, z) is at column ``center_x + focal_x x/z``, rows likewise.
+
+    A pytree of scalars, all differentiable.
+
+    Attributes:
+        focal_x: focal length in pixels, horizontally.
+        focal_y: the same vertically; equal to `focal_x` where pixels are square.
+        center_x: column where the optical axis meets the image, from the left *edge*: width / 2 for
+            the middle. Pixel centers are at half integers.
+        center_y: row, from the upper edge.
+    """
+
+    focal_x: float | jax.Array
+    focal_y: float | jax.Array
+    center_x: float | jax.Array
+    center_y: float | jax.Array
+
+    @classmethod
+    def from_field_of_view(cls, degrees: float | jax.Array, size: tuple[int, int]) -> "Intrinsics":
+        """A camera with square pixels whose axis meets the middle of the image.
+
+        ``focal = width / (2 tan(angle / 2))``. For a lens and a sensor as wide as the image the
+        focal length in pixels is ``width lens / sensor``.
+
+        Args:
+            degrees: horizontal field of view, in (0, 180).
+            size: (height, width) in pixels.
+
+        Returns:
+            The camera; focal lengths are differentiable in the angle.
+
+        Raises:
+            ValueError: the angle is out of range (not checked while it is traced).
+        """
+        if not isinstance(degrees, core.Tracer) and not 0 < float(degrees) < 180:
+            raise ValueError(f"`degrees` must lie in (0, 180), got {degrees}.")
+        height, width = size
+        focal = width / 2 / jnp.tan(jnp.radians(degrees) / 2)
+        return cls(focal, focal, width / 2, height / 2)
+
+
+jax.export.register_namedtuple_serialization(Intrinsics, serialized_name="jaxblur.Intrinsics")
+
+
+def camera_velocity(
+    depth: ArrayLike,
+    twist: ArrayLike | Sequence[float],
+    intrinsics: Intrinsics,
+    shutter: ArrayLike = 1.0,
+) -> Float[Array, "height width 2"]:
+    """Half-spread of a static scene while the camera moves.
+
+    Half of the way between the ends of `camera_path`: ``velocity`` of a `Frame`.
+
+    Args:
+        depth: as `camera_path`.
+        twist: as `camera_path`.
+        intrinsics: as `camera_path`.
+        shutter: as `camera_path`.
+
+    Returns:
+        (H, W, 2) pixels, x right, y down; differentiable as `camera_path`.
+
+    Raises:
+        ValueError: as `camera_path`.
+    """
+    path = camera_path(depth, twist, intrinsics, shutter)
+    return (path[..., 1, :] - path[..., 0, :]) / 2
+
+
+def camera_path(
+    depth: ArrayLike,
+    twist: ArrayLike | Sequence[float],
+    intrinsics: Intrinsics,
+    shutter: ArrayLike = 1.0,
+) -> Float[Array, "height width 2 2"]:
+    """Displacement of a static scene at shutter opening and closing while the camera moves.
+
+    The camera keeps its twist xi, that is, it moves on a screw. From the middle of the exposure, at
+    which the frame is seen, to the time t it moves by ``exp(t xi)``, and a point X is seen at
+    ``exp(-t xi) X``, with t = -shutter/2 at opening and shutter/2 at closing. Only the two ends are
+    computed, exactly. Points at infinity (sky) move by the rotation alone. A point that would come
+    nearer to the camera than a twentieth of its depth is treated as if it stayed there.
+
+    Args:
+        depth: (H, W) positive planar depth in the middle of the exposure, ``+inf`` for sky.
+        twist: (6,) rotation vector in radians and translation in the units of depth, in camera axes
+            (see the module), per frame or, with the default shutter, during the exposure.
+        intrinsics: focal lengths and center in pixels.
+        shutter: exposure time in frames.
+
+    Returns:
+        (H, W, 2, 2) pixels, x right, y down: ``path`` of a `Frame`. Differentiable in every
+        argument, also at a twist of zero; the derivative in the depth of sky is 0, and that of a
+        point held at a twentieth of its depth is that of a point that moves aside only.
+
+    Raises:
+        ValueError: depth is no image, the twist not six numbers, or `intrinsics` no `Intrinsics`.
+
+    Source: the exponential map of SE(3), Murray, Li and Sastry 1994, 2.3.
+    """
+    depth, twist = jnp.asarray(depth), jnp.asarray(twist)
+    shape, numbers = depth.shape, twist.shape
+    if len(shape) != 2:
+        raise ValueError(f"`depth` must have shape (height, width), got {shape}.")
+    if numbers != (6,):
+        raise ValueError(
+            "`twist` must have shape (6,), a rotation vector and a translation, got "
+            f"{numbers}; apply jax.vmap over a batch axis."
+        )
+    if not isinstance(intrinsics, Intrinsics):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(
+            f"`intrinsics` must be jaxblur.Intrinsics, got {type(intrinsics).__name__}; pass "
+            "jaxblur.Intrinsics.from_field_of_view(degrees, (height, width))."
+        )
+    dtype = jnp.result_type(jnp.float32, depth.dtype, twist.dtype)
+    camera = Intrinsics(*(jnp.asarray(value, dtype) for value in intrinsics))
+    return _camera_path(
+        depth.astype(dtype), twist.astype(dtype), camera, jnp.asarray(shutter, dtype)
+    )
+
+
+@jax.jit
+def _camera_path(
+    depth: Float[Array, "height width"],
+    twist: Float[Array, " 6"],
+    intrinsics: Intrinsics,
+    shutter: Float[Array, ""],
+) -> Float[Array, "height width 2 2"]:
+    height, width = depth.shape
+    x = (jnp.arange(width, dtype=depth.dtype) + 0.5 - intrinsics.center_x) / intrinsics.focal_x
+    y = (jnp.arange(height, dtype=depth.dtype) + 0.5 - intrinsics.center_y) / intrinsics.focal_y
+    x, y = jnp.meshgrid(x, y)
+    ray = jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
+    # In units of the point's depth, so that infinity is a number like others.
+    inverse = (1 / depth)[..., None]
+    focal = jnp.stack([intrinsics.focal_x, intrinsics.focal_y])
+
+    def displacement(time: Float[Array, ""]) -> Float[Array, "height width 2"]:
+        turn, travel = _change(-time * twist)
+        shift = ray @ turn.T + inverse * travel
+        ahead = shift[..., 2:]
+        # (x + dx)/(1 + dz) - x in differences: a camera at rest gives exactly zero.
+        return focal * (shift[..., :2] - ray[..., :2] * ahead) / jnp.maximum(1 + ahead, NEAREST)
+
+    return jnp.stack([displacement(side * shutter) for side in (-0.5, 0.5)], axis=-2)
+
+
+def _change(twist: Float[Array, " 6"]) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:
+    """``exp(twist) - I``: rotation minus identity, and translation.
+
+    With K the cross product with the rotation vector and q its squared length,
+    ``R - I = a K + b K^2`` and ``p = (I + b K + c K^2) v``, where a = sin(|w|)/|w| and so on are
+    power series in q: no norm, whose derivative at 0 would be singular.
+    """
+    x, y, z = twist[:3]
+    squared = x * x + y * y + z * z
+    zero = jnp.zeros_like(x)
+    cross = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    first, second, third = (_series(squared, n) for n in (1, 2, 3))
+    twice = cross @ cross
+    turn = first * cross + second * twice
+    return turn, twist[3:] + (second * cross + third * twice) @ twist[3:]
+
+
+def _series(squared: Float[Array, ""], first: int) -> Float[Array, ""]:
+    """``sum_k (-q)^k / (2k + first)!``."""
+    total = jnp.zeros_like(squared)
+    for k in reversed(range(_TERMS)):
+        total = (-1) ** k / math.factorial(2 * k + first) + squared * total
+    return total
