@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from jaxblur.kernels import At, Image, Outcome, each_pixel, nearest_place, sum_over
+from jaxblur.settings import Backend
 
 SIZE = (9, 11)
-BACKENDS = ("native", "xla")
+BACKENDS: tuple[Backend, ...] = ("native", "xla")
 
 
 class Images(NamedTuple):
@@ -48,7 +49,7 @@ def inputs(seed=0):
     return values, rng.uniform(-1.4, 1.4, (*SIZE, 2)).astype(np.float32)
 
 
-def run(program, values, offset, scale, backend="xla", blends=False):
+def run(program, values, offset, scale, backend: Backend = "xla", blends=False):
     images = Images(Image(values), Image(offset))
     return each_pixel(program, SIZE, images, scale, blends, backend=backend)[..., 0]
 
