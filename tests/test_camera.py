@@ -246,6 +246,7 @@ def test_a_filter_has_a_derivative_by_the_source_of_motion(name):
     np.testing.assert_allclose(by_source, expected, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_blur_has_a_derivative_by_the_camera():
     frame, error = random_frame((20, 30), speed=6.0, sky=0.1), error_of("pixel_velocity")
     camera = jaxblur.Intrinsics.from_field_of_view(60, (20, 30))
