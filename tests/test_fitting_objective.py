@@ -172,7 +172,7 @@ def test_equal_objectives_compile_once():
         return x
 
     count(objective(), 1.0)
-    count(objective(settings=jaxblur.GuertinSettings(samples=5, radius=6, fetch="bilinear")), 2.0)
+    count(objective(settings=jaxblur.GuertinSettings(samples=5, radius=6, fetch="blend")), 2.0)
     assert len(traced) == 1
     count(objective(noise_draws=2), 2.0)
     assert len(traced) == 2
