@@ -125,7 +125,7 @@ def test_parameters_reach_the_filter(tmp_path):
 def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
     out, choices = tmp_path / "out.exr", choices_of(jaxblur.GuertinSettings)
     only = choices.keys() - choices_of(jaxblur.Settings).keys()
-    assert len(only) == 5
+    assert len(only) == 6
     for choice in only:
         option = f"--{choice.replace('_', '-')}"
         message = refused("blur", CAR, "-o", out, "--filter", name, option, choices[choice][-1])
