@@ -48,9 +48,7 @@ def error(image, truth):
 
 # %% [markdown]
 # `Frame.from_motion` takes one source of motion: a path (the displacement at shutter opening and at
-# closing), a velocity, or the twist of a camera. The derivative in that source is right for every
-# filter. Fetch must be bilinear: with nearest fetch, the color that a tap reads does not change when the tap
-# moves a little.
+# closing), a velocity, or the twist of a camera, and its derivative reaches every filter.
 #
 # ## Gradient images
 #

@@ -29,7 +29,7 @@ def read(at, images, x, y, blends):
 
 
 def squares(at: At, images: Images, scale, blends) -> Outcome:
-    """The sum of squares of what is read at multiples of the offset, which scale makes longer."""
+    """The sum of the squares of the values at 1, 2 and 3 times ``scale * offset``."""
     x, y = images.offset.here()
 
     def sample(i):

@@ -11,12 +11,9 @@ block b, blocks being the tiles of ``radius x radius`` pixels. A standard error 
 optimum would move if the same amount of picture were drawn anew from the same kind of tiles. It
 says nothing about other kinds of scenes; held-out scenes do.
 
-H comes from central differences of the forward-mode gradient over steps of 5 %. Exact
-second derivatives would miss the kinks that every bilinear read and clip puts into the loss. The
-gradient itself ignores taps that jump across a silhouette, because velocity and depth
-are read at the nearest texel: for parameters that move the taps (gamma, phi) the curvature was
-found too small by up to a half, and the standard error then is too large. `profile` takes no
-derivative and is the check.
+H comes from central differences of the forward-mode gradient over steps of 5 %. Exact second
+derivatives would hold the texels that are read, and would miss the kinks that every clip puts into
+the loss. `profile` takes no derivative and is the check.
 
 A small standard error alone does not make a parameter determined. In a flat valley, or where the
 filter has switched off what the parameter controls, gradients and curvature both vanish and their

@@ -1,20 +1,22 @@
 """The derivative in the place at which a program reads.
 
-A program reads at whole places, ``n = floor(o + 1/2)`` for an offset o. What it computes from a
-texel, f(n), changes by jumps as o grows; its mean over samples and pixels, at which o falls
-anywhere between two texels, changes smoothly. The derivative of that mean is the one of an
-interpolation between the results, with ``a = o - n`` and s = -1 or 1 the side of the texel's middle
-on which o lies:
+A program reads the texel nearest to an offset o, ``n = floor(o + 1/2)``. Let f(n) be what it
+computes from that texel. As o grows, f(n) jumps each time o passes the border between two texels.
+The mean of f(n) over many samples and pixels has no jumps, since o is somewhere else in each. The
+derivative here is the one of that mean. It is the derivative of an interpolation between results,
+where ``a = o - n`` is the offset from the middle of the texel, and s = -1 or 1 its sign:
 
     B(o) = f(n) + 4 |a|^3 (f(n + s) - f(n)),    dB/do = 12 a^2 s (f(n + s) - f(n)).
 
-Any share of the neighbor that grows from 0 in the middle to 1/2 between the texels has the right
-mean. The cube grows late: the jumps happen between the texels, and how a squared error changes
-there depends on the colors there. In the middle the derivative is that of linear interpolation,
-since for motion along an axis every offset across it is 0.
+Every share of the neighbor that grows from 0 in the middle of the texel to 1/2 at its border gives
+the right mean. The cube is close to 0 but near the border, where the jumps are. That matters for a
+squared error, whose derivative is a product with the colors of the same sample: linear
+interpolation halves the part of it that is due to noise. Where a = 0, dB/do is that of linear
+interpolation, so that motion along an axis has a derivative across it.
 
-What is interpolated is the result, never what is read, so that opposed motions do not cancel. The
-two axes are varied one at a time, and where a program reads at several places, these too.
+The interpolation is between results, not between the texels that are read: two opposed velocities
+would cancel. It varies one axis at a time, and where a program reads at several places, one place
+at a time.
 """
 
 import functools
@@ -184,7 +186,8 @@ class _Stage:
         if axis == 1:
             along, across = across, along
         along, across = along - whole[axis], across - whole[1 - axis]
-        # For motion along the other axis every offset is 0 here; there the sides take turns.
+        # An offset of 0 has no side (motion along the other axis): it takes that of the other
+        # offset, which differs from sample to sample.
         side = jnp.where(jnp.where(along == 0, across, along) < 0, -1, 1)
         moved = list(whole)
         moved[axis] = whole[axis] + side

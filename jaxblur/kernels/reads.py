@@ -73,15 +73,14 @@ batching.primitive_batchers[place_primitive] = _rounded_batched
 def nearest_place(x: Array, y: Array, blends: bool = False) -> tuple[Array, Array]:
     """The texel nearest to an offset, by which a program reads images; to be differentiated.
 
-    A texel changes by a jump as the offset grows, and the picture, which is a mean over thousands
-    of samples, changes smoothly. So the derivative of what a program computes from a texel is that
-    of a blend over the four texels around the offset, each computed with its texel held; see
-    `.places`.
+    The derivative of what a program computes from the texel is that of an interpolation between the
+    results for this texel and for the ones beside it, see `.places`.
 
     Args:
         x: offset in pixels to the right.
         y: offset in pixels downward.
-        blends: the value is that blend too, rather than what the nearest texel gives.
+        blends: whether the value is mixed too, bilinearly of the results for the four texels around
+            the offset, with exactly the derivative of that mix.
 
     Returns:
         Whole pixels to the right and downward, ``floor(x + 1/2)`` and ``floor(y + 1/2)``.
