@@ -44,13 +44,20 @@ def everything(reader):
     return b"".join(pieces).decode()
 
 
-def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch, handler):
-    reader, writer = pty.openpty()
+@contextlib.contextmanager
+def attached(writer, monkeypatch, handler):
+    """Standard error and the log go to a terminal."""
     for name, value in {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "24"}.items():
         monkeypatch.setenv(name, value)
     with os.fdopen(writer, "w", encoding="utf-8") as terminal:
         monkeypatch.setattr(sys, "stderr", terminal)
         handler.setStream(terminal)
+        yield
+
+
+def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch, handler):
+    reader, writer = pty.openpty()
+    with attached(writer, monkeypatch, handler):
         blur_four_frames()
     shown = everything(reader)
     plain = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", shown)
@@ -100,11 +107,7 @@ def test_stages_are_lines_and_a_long_one_says_that_it_goes_on(monkeypatch, capsy
 
 def test_a_terminal_shows_a_bar_for_each_stage(monkeypatch, handler):
     reader, writer = pty.openpty()
-    for name, value in {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "24"}.items():
-        monkeypatch.setenv(name, value)
-    with os.fdopen(writer, "w", encoding="utf-8") as terminal:
-        monkeypatch.setattr(sys, "stderr", terminal)
-        handler.setStream(terminal)
+    with attached(writer, monkeypatch, handler):
         with stages() as shown:
             shown.stage("compiling", 0, 1)
             LOG.info("said above")
