@@ -21,7 +21,8 @@ class GradientRow:
         difference: central difference, the mean over the same draws.
         difference_error: its standard error.
         ratio: reverse / difference; NaN where the difference is 0.
-        ratio_error: its standard error; derivative and difference share their noise.
+        ratio_error: its standard error, of the noise alone: where the picture jumps within the
+            step, another step gives another difference.
         sensitivity: difference / loss: percent of the loss by a change of one percent.
         determined: whether the difference is at least 2 % of the largest one in the table, and
             five of its standard errors.

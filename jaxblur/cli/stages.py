@@ -274,7 +274,7 @@ def write(
             words = {} if colors.is_identity else {exr.COLORS: colors.words}
             shown, notes = colors.light(image), dict(provenance) | words
             exr.write_image(output, shown, attributes=notes, unchanged=unchanged)
-            LOG.info(".png: %s", PNG_TRANSFORM)
+            LOG.info(".png: %s", PNG_TRANSFORM if colors.view is None else "8 bit, in that view")
             continue
         exr.write_image(
             output,
