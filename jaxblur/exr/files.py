@@ -207,7 +207,8 @@ def open_input(path: PathLike) -> Iterator[Any]:
         An ``OpenImageIO.ImageInput``.
 
     Raises:
-        JaxblurIOError: the file is missing, a folder, of another kind, or unreadable.
+        JaxblurIOError: the file is missing, a folder, of another kind, or unreadable; or memory
+            ended while it was open.
     """
     check_readable(path)
     # A crafted header may request all memory, and trying the readers of other formats is a needless
@@ -222,6 +223,10 @@ def open_input(path: PathLike) -> Iterator[Any]:
         raise JaxblurIOError(path, _unopened(path, pending_message()))
     try:
         yield source
+    except MemoryError as error:
+        raise JaxblurIOError(
+            path, f"needs more memory than this process may use ({error}); allow it more."
+        ) from error
     finally:
         source.close()
         pending_message(source)
