@@ -104,5 +104,5 @@ def test_explicit_noise_of_another_shape_is_refused(change, message):
 
 def test_noise_of_another_type_is_rejected():
     noise: Any = jnp.zeros((4, 5))
-    with pytest.raises(ValueError, match="`noise` must be a jaxblur.Noise"):
+    with pytest.raises(ValueError, match=r"`noise` must be a jaxblur.Noise"):
         jaxblur.layered(random_frame((4, 5)), jaxblur.LayeredParameters(), noise=noise)
