@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -24,12 +24,15 @@ R = TypeVar("R")
 _BY_POSITION = ("frame", "parameters")
 
 
-def takes(parameters: type | None, settings: type[Settings]) -> Callable[..., Any]:
+def takes(
+    parameters: type | None, settings: type[Settings], more: Sequence[str] = ()
+) -> Callable[..., Any]:
     """Make a filter check the types of its arguments before anything else.
 
     Args:
         parameters: the class of its parameters, or None if it has none.
         settings: the class of its settings.
+        more: names of further arguments, which the filter checks itself.
 
     Returns:
         A decorator of a filter ``(frame, parameters, *, settings, noise)``. The decorated filter
@@ -42,8 +45,9 @@ def takes(parameters: type | None, settings: type[Settings]) -> Callable[..., An
 
         @functools.wraps(function)
         def checked(*given: P.args, **options: P.kwargs) -> R:
-            _check_form(name, parameters, settings, given, options)
-            values = dict(zip(_BY_POSITION, given, strict=False)) | options
+            known = {k: v for k, v in options.items() if k not in more}
+            _check_form(name, parameters, settings, given, known)
+            values = dict(zip(_BY_POSITION, given, strict=False)) | known
             _check_types(name, parameters, settings, values)
             return function(*given, **options)
 

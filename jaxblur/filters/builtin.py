@@ -8,8 +8,8 @@ from ..settings import GuertinSettings, Settings
 from .parameters import GuertinParameters, LayeredParameters, McGuireParameters
 from .registry import FilterInfo, register
 
-LAYERED_GUESSES = 3
-"""Samples that a time slice of layered takes."""
+LAYERED_SLICE = 3
+"""Samples that a time slice of layered takes: two guesses, and the search for what is in front."""
 _HALF_A_SPACING = 0.5
 """Largest jitter of the taps, in spacings, of the filters without a parameter for it."""
 
@@ -25,9 +25,9 @@ def needs_odd_samples(settings: Settings) -> None:
 
 def needs_a_slice(settings: Settings) -> None:
     """Reject fewer samples than a time slice takes."""
-    if settings.samples < LAYERED_GUESSES:
+    if settings.samples < LAYERED_SLICE:
         raise ValueError(
-            f"`settings.samples` must be at least {LAYERED_GUESSES} for layered, got "
+            f"`settings.samples` must be at least {LAYERED_SLICE} for layered, got "
             f"{settings.samples}."
         )
 
@@ -104,12 +104,9 @@ def _guertin_rows(
 def _layered_rows(
     parameters: LayeredParameters, settings: Settings, curved: bool
 ) -> tuple[int, int]:
-    from .layered.reaching import fine_tile
-
-    # A tap is as far as the velocity, its turn, and the bend of a path, the radius at most each;
-    # the lines of the tile that a pixel reads begin no farther away.
-    tile = fine_tile(settings.radius)
-    return tile, (2 + curved) * _tap_rows(settings) + tile
+    # An owner is as far as the radius. Its path depends on velocities half as far from it, and on
+    # their neighbors. The point that is read is at most a slice away from the owner.
+    return 1, 2 * settings.radius + 4
 
 
 BUILTIN: Sequence[FilterInfo] = (

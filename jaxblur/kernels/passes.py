@@ -27,11 +27,13 @@ class Pass:
             the largest key), or one that leaves ``marks`` in a table.
         traced: the program; its name, its jaxpr of scalars, its inputs, its stages.
         kept: channels of the image that pixels keep where the program says so; 0 if none.
+        apart: of `largest_marks`.
     """
 
     kind: Literal["pixel", "tiles", "marks"]
     traced: Traced
     kept: int = 0
+    apart: int = 0
 
 
 _recorded: contextvars.ContextVar[list[Pass] | None] = contextvars.ContextVar(
@@ -57,10 +59,12 @@ def recorded_passes() -> Generator[list[Pass], None, None]:
         _recorded.reset(token)
 
 
-def _record(kind: Literal["pixel", "tiles", "marks"], traced: Traced, kept: Any = None) -> None:
+def _record(
+    kind: Literal["pixel", "tiles", "marks"], traced: Traced, kept: Any = None, apart: int = 0
+) -> None:
     passes = _recorded.get()
     if passes is not None:
-        passes.append(Pass(kind, traced, 0 if kept is None else kept.shape[-1]))
+        passes.append(Pass(kind, traced, 0 if kept is None else kept.shape[-1], apart))
 
 
 def each_pixel(
@@ -141,6 +145,7 @@ def largest_marks(
     parameters: Any = None,
     settings: Any = None,
     *,
+    apart: int = 0,
     backend: Backend = "auto",
 ) -> Int[Array, " length"]:
     """Run a program that leaves marks, and keep the largest at each place (a scatter-max).
@@ -152,6 +157,8 @@ def largest_marks(
         length: of the table of marks.
         parameters: as `each_pixel`.
         settings: as `each_pixel`.
+        apart: number of steps, if the marks of step i all lie in share i of the table, cut into so
+            many equal shares; threads then share the table. 0 if marks lie anywhere.
         backend: see `jaxblur.Settings`.
 
     Returns:
@@ -161,9 +168,9 @@ def largest_marks(
         ValueError: as `each_pixel`.
     """
     traced = trace(program, images, parameters, settings)
-    _record("marks", traced)
+    _record("marks", traced, apart=apart)
     local, tables, grid = _operands(traced, size, images, parameters)
-    return run_marks(traced.stages, [*local, *tables], len(local), grid, length, backend)
+    return run_marks(traced.stages, [*local, *tables], len(local), grid, length, backend, apart)
 
 
 def largest_in_tiles(

@@ -14,7 +14,13 @@ from .tracing import Grid, Stages
 
 
 def run_marks(
-    stages: Stages, leaves: list[jax.Array], locals_: int, grid: Grid, length: int, backend: Backend
+    stages: Stages,
+    leaves: list[jax.Array],
+    locals_: int,
+    grid: Grid,
+    length: int,
+    backend: Backend,
+    apart: int = 0,
 ) -> Int[Array, " length"]:
     """The largest of the marks that are left at each place.
 
@@ -25,6 +31,7 @@ def run_marks(
         grid: sizes.
         length: of the table.
         backend: see `jaxblur.Settings`.
+        apart: see `jaxblur.kernels.largest_marks`.
 
     Returns:
         (length,), 0 where there is no mark above 0. Without derivatives.
@@ -36,7 +43,7 @@ def run_marks(
     def by_xla(*leaves: jax.Array) -> jax.Array:
         return _by_scatter(stages, Plan(no_terms, None, 0, backend, grid, locals_), leaves, length)
 
-    native = native_marks(stages, leaves, locals_, grid, length, backend)
+    native = native_marks(stages, leaves, locals_, grid, length, backend, apart)
     if native is None:
         return by_xla(*leaves)
     return on_cpu(lambda *leaves: native(*leaves)[0], by_xla, *leaves)

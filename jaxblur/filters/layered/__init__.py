@@ -1,6 +1,5 @@
 """The layered filter: motion blur by slices of time."""
 
-from .reaching import fine_tile as fine_tile
 from .slices import (
     LayeredParameters as LayeredParameters,
     layered as layered,

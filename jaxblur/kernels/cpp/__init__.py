@@ -100,6 +100,7 @@ def native_marks(
     grid: Grid,
     length: int,
     backend: str,
+    apart: int,
 ) -> Call | None:
     """A function that finds the largest mark at each place of a table.
 
@@ -110,6 +111,7 @@ def native_marks(
         grid: sizes.
         length: of the table.
         backend: as `native_gather`.
+        apart: as `jaxblur.kernels.largest_marks`.
 
     Returns:
         A function of the leaves, which returns the table; None where XLA has to do the work.
@@ -118,7 +120,7 @@ def native_marks(
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     operands = Operands.of(leaves, locals_, len(grid.sizes))
-    return _build(lambda: emit_marks(stages, operands), grid, [length], backend, np.int32)
+    return _build(lambda: emit_marks(stages, operands, apart), grid, [length], backend, np.int32)
 
 
 def _build(

@@ -105,6 +105,7 @@ class _Program:
         self._where: Scope | None = None
         self._before: Scope | None = None
         self._numbers: dict[str, Any] = {"KEPT": 0, "IMAGE": 0, "SUMS": 0, "REST": 0, "COUNT": 0}
+        self._numbers["APART"] = 0
         self._numbers |= {"ARGUMENTS_READ": first + len(operands.tables), "ELEMENT": "float"}
         self._rows_of_three: list[int] = []
 
@@ -200,9 +201,9 @@ class _Program:
                 lines = _add_row(k, base, row, 3 * three + 4 * four)
                 self.writer.tap.statements.extend(lines)
 
-    def mark(self, marks: Sequence[tuple[Value, Value]]) -> None:
+    def mark(self, marks: Sequence[tuple[Value, Value]], apart: int) -> None:
         """Write the marks of a sample in the one table: (place, mark) pairs of whole numbers."""
-        self._numbers["ELEMENT"] = "int32_t"
+        self._numbers |= {"ELEMENT": "int32_t", "APART": apart}
         self._rows_of_three = [0]
         for place, mark in marks:
             self.writer.tap.statements.append(
@@ -278,7 +279,7 @@ def emit_pass(pass_: Any) -> Kernel:
     local = tuple(traced.kinds[k] for k in traced.local)
     operands = Operands(local, tuple(traced.kinds[k] for k in traced.tables), sizes)
     if pass_.kind == "marks":
-        return emit_marks(traced.stages, operands)
+        return emit_marks(traced.stages, operands, pass_.apart)
     return emit_gather(traced.stages, operands, pass_.kept)
 
 
@@ -387,12 +388,13 @@ def emit_pull(
     return program.kernel(program.sums(planes_out), len(tables_out))
 
 
-def emit_marks(stages: Stages, operands: Operands) -> Kernel:
+def emit_marks(stages: Stages, operands: Operands, apart: int = 0) -> Kernel:
     """Print `jaxblur.kernels.scatter.largest_marks`.
 
     Args:
         stages: of a program whose samples are marks: place, mark, place, mark, ...
         operands: the inputs.
+        apart: number of steps if each has a share of the table of its own, else 0.
 
     Returns:
         The kernel; its result is the table that marks are left in.
@@ -417,7 +419,7 @@ def emit_marks(stages: Stages, operands: Operands) -> Kernel:
         (_INDEX, place, prepared_shapes, tables),
         (_SAMPLE_NUMBER, program.place, prepared, program.tables),
     )
-    program.mark(list(zip(marks[::2], marks[1::2], strict=True)))
+    program.mark(list(zip(marks[::2], marks[1::2], strict=True)), apart)
     program.sums([])
     return program.kernel([], 1)
 

@@ -18,6 +18,7 @@ enum {
   REST = @REST@, /* 0, or all of them if such pixels have results of their own */
   ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
   TABLES = @TABLES@, /* results that taps add to anywhere, or leave their marks in */
+  APART = @APART@, /* number of samples if each writes to a share of the tables of its own, or 0 */
   ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time: a piece */
   MOST_PARTS_WITH_TABLES = 8 /* each has tables of its own */
 };
@@ -84,7 +85,7 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
 }
 
 static void sum_row(const Job* job, Element* const* tables, const int row, const int from,
-                    const int until) {
+                    const int until, const int32_t begin, const int32_t end) {
   (void)tables;
   const int64_t start = (int64_t)row * job->width;
   const Ints y = wide((int32_t)row);
@@ -103,7 +104,7 @@ static void sum_row(const Job* job, Element* const* tables, const int row, const
       Floats sums[SUMS + 1] = {};
       int32_t last = COUNT;
 @PIXEL@
-      for (int32_t i = 0; i < last; ++i) {
+      for (int32_t i = begin; i < min_int(last, end); ++i) {
 @SAMPLE@
 @TAP@
       }
@@ -115,17 +116,24 @@ static void sum_row(const Job* job, Element* const* tables, const int row, const
 }
 
 /* Some rows of one strip. */
-static void sum_piece(const Job* job, Element* const* tables, int piece) {
+static void sum_piece(const Job* job, Element* const* tables, int piece, int32_t begin = 0,
+                      int32_t end = INT32_MAX) {
   const int from = piece / job->pieces_of_strip * job->strip;
   const int row = piece % job->pieces_of_strip * ROWS_AT_ONCE;
   const int until = from + job->strip < job->width ? from + job->strip : job->width;
-  const int end = row + ROWS_AT_ONCE < job->height ? row + ROWS_AT_ONCE : job->height;
-  for (int k = row; k < end; ++k) sum_row(job, tables, k, from, until);
+  const int below = row + ROWS_AT_ONCE < job->height ? row + ROWS_AT_ONCE : job->height;
+  for (int k = row; k < below; ++k) sum_row(job, tables, k, from, until, begin, end);
 }
 
 /* A part is one piece. Where taps add to tables it has tables of its own and every so many pieces,
-   the same in every run, so that the same input gives the same bits. */
+   the same in every run, so that the same input gives the same bits. Where samples write apart, a
+   part is one sample of all pixels, and the tables are shared. */
 static void sum_part(const Job* job, int part) {
+  if (APART) {
+    for (int piece = 0; piece < job->pieces; ++piece)
+      sum_piece(job, job->tables, piece, part, part + 1);
+    return;
+  }
   if (TABLES == 0) return sum_piece(job, job->tables, part);
   for (int piece = part; piece < job->pieces; piece += job->parts)
     sum_piece(job, job->tables_of_part[part], piece);
@@ -170,7 +178,7 @@ static int count_helpers(XLA_FFI_CallFrame* frame) {
    pages that cost nothing until a tap touches them. */
 static bool make_tables(Job* job) {
   bool enough = true;
-  for (int part = 0; part < job->parts && TABLES; ++part) {
+  for (int part = 0; part < job->parts && TABLES && !APART; ++part) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = ROWS_OF_THREE[k] ? job->table_sizes[k] / 3 * 4 : job->table_sizes[k];
       const bool own = part || ROWS_OF_THREE[k];
@@ -184,7 +192,7 @@ static bool make_tables(Job* job) {
 }
 
 static void join_tables(Job* job, bool enough) {
-  for (int part = 0; part < job->parts && TABLES; ++part) {
+  for (int part = 0; part < job->parts && TABLES && !APART; ++part) {
     for (int k = 0; k < TABLES; ++k) {
       const int64_t size = enough ? job->table_sizes[k] : 0;
       Element *table = job->tables[k], *more = job->tables_of_part[part][k];
@@ -203,8 +211,8 @@ static void join_tables(Job* job, bool enough) {
 
 static bool run(Job* job, XLA_FFI_CallFrame* frame) {
   const int helpers = count_helpers(frame);
-  const int most = TABLES ? MOST_PARTS_WITH_TABLES : job->pieces;
-  job->parts = TABLES && helpers + 1 < most ? helpers + 1 : most;
+  const int most = APART ? APART : TABLES ? MOST_PARTS_WITH_TABLES : job->pieces;
+  job->parts = TABLES && !APART && helpers + 1 < most ? helpers + 1 : most;
   const bool enough = make_tables(job);
   if (enough) {
     ++job->users; /* Who waits for it, and who works. */

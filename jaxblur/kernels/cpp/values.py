@@ -279,6 +279,7 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "round": _round,
     "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
     "select_n": _select,
+    "shift_right_arithmetic": _operator(">>"),
     "sign": _function("sign_float"),
     "sin": _function("sinf"),
     "sqrt": _function("sqrtf"),

@@ -1,0 +1,286 @@
+"""Pass L4 of `layered`: what shows where the frame has nothing, for the pixels where that occurs.
+
+At some (pixel, time) pairs no surface of the frame is in place: what is there was hidden behind
+something that has moved away. In order of preference, the color is that
+
+1. which the caller gives (`hidden`, for experiments);
+2. of the nearest surface that a neighbor frame has there;
+3. of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
+   right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
+   from which the pixel's own motion would have come lies behind, for otherwise nothing was
+   uncovered: a surface stretches, or comes in over the border of the frame.
+
+One color is kept for each pixel, the mean over the times at which it is missing.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from ...kernels import At, Image, Outcome, each_pixel, sum_over
+from ...settings import Settings
+from .._sampling import find_texel
+from ..parameters import LayeredParameters
+from .neighbors import Neighbor
+from .owners import Coding, moves, read_owner, time_of
+from .paths import Path, Vector
+
+REACH = 16
+"""Pixels to each side that are searched for a surface behind."""
+
+STEPS = 2
+"""Steps by which the point of a neighbor frame is found that is at a pixel at a time."""
+
+MISS = 1.0
+"""Pixels by which such a point may miss the pixel."""
+
+_SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
+
+
+class Images(NamedTuple):
+    """Images that the program reads.
+
+    Attributes:
+        color: (H, W, C).
+        paths: (H, W, 5), see `.paths.Path`.
+        owners: (T H, W, 1), see `.owners.owners_of`.
+        neighbors: the frames before and after, as far as they are given.
+        hidden: (T H, W, C) T images below one another at times spread evenly over the exposure;
+            NaN where unknown. Or None.
+    """
+
+    color: Image
+    paths: Image
+    owners: Image
+    neighbors: tuple[Neighbor, ...]
+    hidden: Image | None
+
+
+class Inputs(NamedTuple):
+    """Scalars that the program uses.
+
+    Attributes:
+        parameters: of the filter.
+        times: of the neighbors, in half exposures.
+    """
+
+    parameters: LayeredParameters
+    times: tuple[Array, ...]
+
+
+class Plan(NamedTuple):
+    """What is fixed when the program is traced."""
+
+    settings: Settings
+    intervals: int
+    coding: Coding
+
+
+class Sums(NamedTuple):
+    """Sums over the times at which a pixel has no owner."""
+
+    color: tuple[Array, ...]
+    known: Array
+    missing: Array
+
+
+class Found(NamedTuple):
+    """A color found for a time.
+
+    Attributes:
+        color: it.
+        known: how surely, 0 to 1.
+        depth: its log depth.
+    """
+
+    color: tuple[Array, ...]
+    known: Array
+    depth: Array
+
+
+def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
+    """Pass L4 of one pixel: a color, times how much of it is known; and that."""
+    own, parameters = Path(*images.paths.here()), inputs.parameters
+    height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
+    marks = [
+        images.owners.read(k * height + at.row, at.column)[0] for k in range(plan.intervals + 1)
+    ]
+    empty = functools.reduce(jnp.logical_or, [mark == 0 for mark in marks])
+    around = _around(at, images, own, parameters, (height, width))
+
+    def at_time(k: Int[Array, ""]) -> Sums:
+        time = time_of(k, plan.intervals, own.x)
+        owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
+        found = _of_frame(at, images, own, time, around, parameters, plan.settings)
+        for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
+            ways = [(jnp.zeros_like(own.x),) * 2, (own.x, own.y), around.velocity]
+            found = _of_neighbor(at, neighbor, time, its_time - time, ways, found)
+        color, known = found.color, jnp.minimum(found.known, 1)
+        if images.hidden is not None:
+            times = lax.div(images.hidden.height, height)
+            image = jnp.minimum(lax.div(k * times, jnp.int32(plan.intervals)), times - 1)
+            given = images.hidden.read(image * height + at.row, at.column)
+            is_given = given[0] == given[0]
+            color = tuple(jnp.where(is_given, *pair) for pair in zip(given, color, strict=True))
+            known = jnp.where(is_given, 1, known)
+        share = jnp.where(owner.exists, 0, known)
+        missing = jnp.where(owner.exists, 0, jnp.ones_like(own.x))
+        return Sums(tuple(share * channel for channel in color), share, missing)
+
+    sums = sum_over(plan.intervals + 1, at_time)
+    inverse = 1 / jnp.maximum(sums.missing, 1)
+    values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
+    none = tuple(jnp.zeros_like(own.x) for _ in values)
+    where = moves(own) & empty
+    return Outcome(tuple(jnp.where(where, *pair) for pair in zip(values, none, strict=True)), where)
+
+
+class Around(NamedTuple):
+    """The surfaces behind a pixel's own that are nearest to it in the frame.
+
+    Attributes:
+        color: their mean.
+        exists: whether there are any.
+        velocity: their mean velocity.
+    """
+
+    color: tuple[Array, ...]
+    exists: Array
+    velocity: Vector
+
+
+def _around(
+    at: At,
+    images: Images,
+    own: Path,
+    parameters: LayeredParameters,
+    size: tuple[Array, Array],
+) -> Around:
+    """Search along a row and a column."""
+    height, width = size
+    behind = own.log_depth + 1 / parameters.surface_sharpness
+
+    def places(side: tuple[int, int], distance: Array) -> tuple[Array, Array, Array]:
+        whole = distance.astype(jnp.int32)
+        row, column = at.row + side[0] * whole, at.column + side[1] * whole
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        return jnp.where(inside, row, at.row), jnp.where(inside, column, at.column), inside
+
+    def step(k: Array, distances: list[Array]) -> list[Array]:
+        tried = (k + 1).astype(own.x.dtype)
+        results = []
+        for side, distance in zip(_SIDES, distances, strict=True):
+            row, column, inside = places(side, tried)
+            depth = images.paths.read(row, column, 3)[2]
+            first = (distance == 0) & inside & (depth > behind)
+            results.append(jnp.where(first, tried, distance))
+        return results
+
+    distances = lax.fori_loop(0, REACH, step, [jnp.zeros_like(own.x)] * len(_SIDES))
+    shares, colors, velocities = [], [], []
+    for side, distance in zip(_SIDES, distances, strict=True):
+        exists = distance > 0
+        shares.append(jnp.where(exists, 1 / jnp.where(exists, distance, 1) ** 2, 0))
+        row, column, _ = places(side, distance)
+        colors.append(images.color.read(row, column))
+        velocities.append(images.paths.read(row, column, 2))
+    total = _sum(shares)
+    inverse = 1 / jnp.where(total > 0, total, 1)
+
+    def mean(values: Sequence[Sequence[Array]]) -> tuple[Array, ...]:
+        return tuple(
+            inverse * _sum([share * value for share, value in zip(shares, channel, strict=True)])
+            for channel in zip(*values, strict=True)
+        )
+
+    x, y = mean(velocities)
+    return Around(mean(colors), total > 0, (x, y))
+
+
+def _sum(terms: Sequence[Array]) -> Array:
+    return functools.reduce(jnp.add, terms)
+
+
+def _of_frame(
+    at: At,
+    images: Images,
+    own: Path,
+    time: Array,
+    around: Around,
+    parameters: LayeredParameters,
+    settings: Settings,
+) -> Found:
+    """What surrounds the pixel, as far as its own motion has uncovered something behind it."""
+    inside = dataclasses.replace(settings, border="skip", fetch="nearest")
+    squared = time * time
+    x, y = squared * own.bend_x - time * own.x, squared * own.bend_y - time * own.y
+    texel = find_texel(at, x, y, images.paths, inside)
+    depth = images.paths.read_texel(texel.number, 3)[2]
+    behind = jnp.clip(parameters.front_sharpness * (depth - own.log_depth), 0, 1)
+    known = jnp.where(texel.counts & around.exists, behind, 0)
+    return Found(around.color, known, jnp.full_like(own.x, jnp.inf))
+
+
+def _of_neighbor(
+    at: At, neighbor: Neighbor, time: Array, away: Array, ways: Sequence[Vector], found: Found
+) -> Found:
+    """The nearest point of a neighbor frame that is at the pixel at a time, if it has one.
+
+    A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. Each way is
+    a velocity at which a point may have come: from where it leads, ``s <- p - d(s, t)`` is taken
+    a few times.
+    """
+
+    def displacement(x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+        texel = find_texel(at, x, y, neighbor.color)
+        opening_x, opening_y, closing_x, closing_y, depth = neighbor.motion.read_texel(texel.number)
+        share = (1 + time) / 2
+        across = opening_x + share * (closing_x - opening_x)
+        down = opening_y + share * (closing_y - opening_y)
+        return texel.number, across, down, depth
+
+    for way_x, way_y in ways:
+        x, y = (way * away for way in (way_x, way_y))
+        for _ in range(STEPS):
+            _, across, down, _ = displacement(x, y)
+            x, y = -across, -down
+        number, across, down, depth = displacement(x, y)
+        texel = find_texel(at, x, y, neighbor.color, Settings(border="skip"))
+        miss = jnp.square(x - texel.across + across) + jnp.square(y - texel.down + down)
+        takes = texel.counts & (miss <= MISS**2) & (depth < found.depth)
+        color = neighbor.color.read_texel(number)
+        found = Found(
+            tuple(jnp.where(takes, *pair) for pair in zip(color, found.color, strict=True)),
+            jnp.where(takes, 1, found.known),
+            jnp.where(takes, depth, found.depth),
+        )
+    return found
+
+
+def background_of(
+    images: Images, inputs: Inputs, plan: Plan
+) -> Float[Array, "height width channels_and_known"]:
+    """The color where the frame has nothing, for all pixels.
+
+    Args:
+        images: see `Images`.
+        inputs: scalars.
+        plan: what is fixed.
+
+    Returns:
+        (H, W, C + 1): a color times how much of it is known, 0 to 1, and that; 0 where something is
+        there all the time.
+    """
+    height, width = images.paths.values.shape[:2]
+    kept = jnp.zeros((height, width, images.color.channels + 1), images.color.values.dtype)
+    return each_pixel(
+        *(background_of_pixel, (height, width), images, inputs, plan),
+        kept=kept,
+        backend=plan.settings.backend,
+    )

@@ -1,0 +1,129 @@
+"""Pass L2 of `layered`: the path of every pixel over the exposure, ``x(t) = t v + t^2 a``.
+
+Half the acceleration, a, comes from the frame's path where it has one. Elsewhere velocities are
+taken to stay where they are in the image, so that the velocity of a point changes as it moves:
+``a = bend (v . grad) v``. For a wheel that turns at a constant rate and a bend of 1/2 this is its
+centripetal acceleration.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...frame import Frame
+from ...kernels import At, Image, Outcome, each_pixel
+from ...safe_math import safe_norm, shortening
+from ...settings import Settings
+from .._sampling import find_texel
+from ..parameters import LayeredParameters
+from .silhouettes import Motion, motion_of, taken_from
+
+Vector = tuple[Array, Array]
+
+
+class Path(NamedTuple):
+    """The path of a pixel, the channels of one image.
+
+    Attributes:
+        x: of the velocity v, pixels to the right.
+        y: pixels downward.
+        log_depth: natural logarithm of the depth.
+        bend_x: of half the acceleration a; ``||v|| + ||a||`` is within the radius.
+        bend_y: likewise downward.
+    """
+
+    x: Array
+    y: Array
+    log_depth: Array
+    bend_x: Array
+    bend_y: Array
+
+    def at(self, time: Array) -> Vector:
+        """Displacement at a time in [-1, 1], pixels."""
+        return _along(self, time)
+
+
+def _along(path: Path, time: Array) -> Vector:
+    squared = time * time
+    return time * path.x + squared * path.bend_x, time * path.y + squared * path.bend_y
+
+
+class Images(NamedTuple):
+    """Images that the program reads.
+
+    Attributes:
+        motion: (H, W, 4), see `.silhouettes.Motion`.
+        path: (H, W, 4) displacement at opening and closing, or None.
+    """
+
+    motion: Image
+    path: Image | None
+
+
+def path_of_pixel(
+    at: At, images: Images, parameters: LayeredParameters, settings: Settings
+) -> Outcome:
+    """Pass L2 of one pixel."""
+    pixel = Motion(*images.motion.here())
+    if images.path is None:
+        x, y = _turn(at, images.motion, pixel, parameters.surface_sharpness, settings)
+        x, y = parameters.bend * x, parameters.bend * y
+    else:
+        across, down = taken_from(pixel.taken_from)
+        texel = find_texel(at, across, down, images.path)
+        opening_x, opening_y, closing_x, closing_y = images.path.read_texel(texel.number)
+        x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
+        # Shorter by as much as the velocity was made shorter.
+        speed = safe_norm((closing_x - opening_x) / 2, (closing_y - opening_y) / 2)
+        shorter = shortening(speed, settings.radius)
+        x, y = x * shorter, y * shorter
+    # A path ends within the radius.
+    left = settings.radius - safe_norm(pixel.x, pixel.y)
+    length = safe_norm(x, y)
+    shorter = jnp.where(length > left, left / jnp.where(length > left, length, 1), 1)
+    return Outcome((pixel.x, pixel.y, pixel.log_depth, x * shorter, y * shorter))
+
+
+def _turn(
+    at: At, motion: Image, pixel: Motion, sharpness: float | Array, settings: Settings
+) -> Vector:
+    """Change of velocity along the own way, ``(v . grad) v``; 0 beyond the ends of the surface."""
+    x, y = pixel.x, pixel.y
+    squared = jnp.square(x) + jnp.square(y)
+    clamped = dataclasses.replace(settings, border="clamp")
+
+    def change(side: float) -> tuple[Array, Array, Array]:
+        index = find_texel(at, side * x, side * y, motion, clamped).number
+        near_x, near_y, depth = motion.read_texel(index, 3)
+        near_x, near_y = near_x - x, near_y - y
+        depth_apart = jnp.abs(depth - pixel.log_depth) * sharpness
+        alike = (jnp.square(near_x) + jnp.square(near_y) < squared / 4) & (depth_apart < 1)
+        return jnp.where(alike, near_x, 0), jnp.where(alike, near_y, 0), alike
+
+    ahead, back = change(0.5), change(-0.5)
+    scale = jnp.where(ahead[2] & back[2], 1, 2).astype(x.dtype)
+    return scale * (ahead[0] - back[0]), scale * (ahead[1] - back[1])
+
+
+def paths_of(
+    frame: Frame, parameters: LayeredParameters, settings: Settings
+) -> Float[Array, "height width 5"]:
+    """The path of every pixel (passes L1 and L2).
+
+    Args:
+        frame: its depth and path are used, or its velocity where there is no path.
+        parameters: arrays.
+        settings: radius and backend are used.
+
+    Returns:
+        (H, W, 5), see `Path`.
+    """
+    height, width = frame.depth.shape
+    motion = motion_of(frame, parameters.surface_sharpness, parameters.thin_coverage, settings)
+    path = None if frame.path is None else Image(frame.path.reshape(height, width, 4))
+    return each_pixel(
+        *(path_of_pixel, (height, width), Images(Image(motion), path), parameters, settings),
+        backend=settings.backend,
+    )
