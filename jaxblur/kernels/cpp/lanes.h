@@ -203,11 +203,88 @@ static inline void read(const float* table, Ints index, Floats& first, Floats& s
 }
 #endif
 
+/* Three or four neighbors in memory: a load of a row for each lane and a transposition take half of
+   the time of gather instructions. */
+#if (defined(__AVX512F__) || defined(__AVX2__)) && !defined(SANITIZED)
+static inline __m128 row_of_three(const float* row) {
+  return _mm_movelh_ps(_mm_castpd_ps(_mm_load_sd((const double*)row)), _mm_load_ss(row + 2));
+}
+static inline __m128 row_of_four(const float* row) { return _mm_loadu_ps(row); }
+#if defined(__AVX512F__)
+typedef __m512 Wide;
+template <__m128 (*ROW)(const float*)>
+static inline Wide rows_of(const float* table, const int32_t* place) {
+  Wide rows = _mm512_castps128_ps512(ROW(table + place[0]));
+  rows = _mm512_insertf32x4(rows, ROW(table + place[4]), 1);
+  rows = _mm512_insertf32x4(rows, ROW(table + place[8]), 2);
+  return _mm512_insertf32x4(rows, ROW(table + place[12]), 3);
+}
+static inline Wide low_singles(Wide a, Wide b) { return _mm512_unpacklo_ps(a, b); }
+static inline Wide high_singles(Wide a, Wide b) { return _mm512_unpackhi_ps(a, b); }
+static inline Floats low_pairs(Wide a, Wide b) {
+  return (Floats)_mm512_unpacklo_pd((__m512d)a, (__m512d)b);
+}
+static inline Floats high_pairs(Wide a, Wide b) {
+  return (Floats)_mm512_unpackhi_pd((__m512d)a, (__m512d)b);
+}
+#else
+typedef __m256 Wide;
+template <__m128 (*ROW)(const float*)>
+static inline Wide rows_of(const float* table, const int32_t* place) {
+  const Wide rows = _mm256_castps128_ps256(ROW(table + place[0]));
+  return _mm256_insertf128_ps(rows, ROW(table + place[4]), 1);
+}
+static inline Wide low_singles(Wide a, Wide b) { return _mm256_unpacklo_ps(a, b); }
+static inline Wide high_singles(Wide a, Wide b) { return _mm256_unpackhi_ps(a, b); }
+static inline Floats low_pairs(Wide a, Wide b) {
+  return (Floats)_mm256_unpacklo_pd((__m256d)a, (__m256d)b);
+}
+static inline Floats high_pairs(Wide a, Wide b) {
+  return (Floats)_mm256_unpackhi_pd((__m256d)a, (__m256d)b);
+}
+#endif
+template <__m128 (*ROW)(const float*)>
+static inline void read_rows(const float* table, Ints index, Floats* columns) {
+  int32_t places[LANES];
+  memcpy(places, &index, sizeof places);
+  const Wide row[4] = {rows_of<ROW>(table, places), rows_of<ROW>(table, places + 1),
+                       rows_of<ROW>(table, places + 2), rows_of<ROW>(table, places + 3)};
+  const Wide low = low_singles(row[0], row[1]), high = high_singles(row[0], row[1]);
+  const Wide more_low = low_singles(row[2], row[3]), more_high = high_singles(row[2], row[3]);
+  columns[0] = low_pairs(low, more_low);
+  columns[1] = high_pairs(low, more_low);
+  columns[2] = low_pairs(high, more_high);
+  columns[3] = high_pairs(high, more_high);
+}
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c) {
+  Floats columns[4];
+  read_rows<row_of_three>(table, index, columns);
+  a = columns[0], b = columns[1], c = columns[2];
+}
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c,
+                        Floats& d) {
+  Floats columns[4];
+  read_rows<row_of_four>(table, index, columns);
+  a = columns[0], b = columns[1], c = columns[2], d = columns[3];
+}
+#else
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c) {
+  read(table, index, a, b);
+  c = read(table, index + 2);
+}
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c,
+                        Floats& d) {
+  read(table, index, a, b);
+  read(table, index + 2, c, d);
+}
+#endif
+
 /* Lanes often read neighbors in memory, those of a plane at the same offset: one load then. */
-static inline Floats read_plane(const float* table, Ints index) {
+template <typename Element>
+static inline auto read_plane(const Element* table, Ints index) {
   const int32_t first = index[0];
   if (any(index != first + lane_numbers())) return read(table, index);
-  Floats result;
+  decltype(read(table, index)) result;
   memcpy(&result, table + first, sizeof result);
   return result;
 }

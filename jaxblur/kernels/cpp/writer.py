@@ -36,25 +36,24 @@ _SAME = ("broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze", "stop_
 
 
 class Read:
-    """A read of a table; of two neighbors in memory the first reads both.
+    """A read of a table; of up to four neighbors in memory the first reads all.
 
     Attributes:
-        name: of the variable.
-        second: that of the next element in memory, where both are read together.
-        done: whether its neighbor reads it.
+        names: of the variables, one for each neighbor; none where an earlier read has it.
     """
 
     def __init__(self, function: str, table: str, base: str, distance: int, name: str) -> None:
         self._function, self._table, self._base, self._distance = function, table, base, distance
-        self.name, self.second, self.done = name, "", False
+        self.names = [name]
 
     def __str__(self) -> str:
-        if self.done:
+        if not self.names:
             return ""
         place = f"{self._table} + {self._distance}, {self._base}"
-        if self.second:
-            return f"Floats {self.name}, {self.second}; read({place}, {self.name}, {self.second});"
-        return f"const Floats {self.name} = {self._function}({place});"
+        if len(self.names) == 1:
+            return f"const Floats {self.names[0]} = {self._function}({place});"
+        names = ", ".join(self.names)
+        return f"Floats {names}; read({place}, {names});"
 
 
 class Scope:
@@ -339,13 +338,13 @@ class Writer:
             raise Unsupported("a gather other than of a flat table at promised indices")
         if not index.wide:
             return self.define(f"{table.code}[{index.code}]", table.dtype, index.level)
+        base, distance, factor = index.facts.base or (index.code, 0, 1)
+        plane = factor == 1 and (index.level == Level.PIXEL or table.dtype == "int32")
+        function = "read_plane" if plane else "read"
         if table.dtype == "int32":
-            return self.define(f"read({table.code}, {index.code})", "int32", index.level)
+            return self.define(f"{function}({table.code}, {index.code})", "int32", index.level)
         if table.dtype != "float32":
             raise Unsupported(f"a table of type {table.dtype}")
-        base, distance, factor = index.facts.base or (index.code, 0, 1)
-        plane = factor == 1 and index.level == Level.PIXEL
-        function = "read_plane" if plane else "read"
         return self._define_read(table.code, base, distance, index.level, function)
 
     def _define_read(
@@ -353,14 +352,19 @@ class Writer:
     ) -> Scalar:
         """A variable for the element at a distance from an index."""
         scope = self._scope(level)
-        read = Read(function, table, base, distance, self._name())
-        # The neighbor's place is earlier in the same block: there both indices are known.
-        first = scope.reads.get((table, base, distance - 1))
-        if distance % 2 and first and not first.second:
-            first.second, read.done = read.name, True
+        name = self._name()
+        read = Read(function, table, base, distance, name)
+        # Rows of four begin at multiples of four, pairs at even distances. The place of the first
+        # is earlier in the same block: there all indices are known.
+        for position in (distance % 4, distance % 2):
+            first = scope.reads.get((table, base, distance - position))
+            if position and first and len(first.names) == position:
+                first.names.append(name)
+                read.names = []
+                break
         scope.reads[table, base, distance] = read
         scope.statements.append(read)
-        return Scalar(read.name, "float32", level)
+        return Scalar(name, "float32", level)
 
 
 def _constant(value: Any) -> Scalar:
