@@ -20,17 +20,29 @@ from ...settings import Settings
 from .._weights import SPEED_FLOOR
 from .paths import Path
 
-MOST_INTERVALS = 16
-"""Largest number of intervals between the times, so that many samples need no more memory."""
+MOST_INTERVALS = 8
+"""Largest number of intervals between the times: 16 gain less than 0.1 dB and take twice the memory."""
 
 _NEAREST, _OCTAVES = -10, 32
 """Depths are ordered from 2^-10 scene units on, over so many doublings."""
 
 
-class PathImage(NamedTuple):
-    """The path of every pixel, (H, W, 5), see `.paths.Path`."""
+class Drawn(NamedTuple):
+    """What is drawn, planes (H, W); each pixel is read for each of the times.
 
-    paths: Image
+    Attributes:
+        x: as `.paths.Path`.
+        y: as `.paths.Path`.
+        bend_x: as `.paths.Path`.
+        bend_y: as `.paths.Path`.
+        level: of the depth, see `Coding.level`.
+    """
+
+    x: Image
+    y: Image
+    bend_x: Image
+    bend_y: Image
+    level: Image
 
 
 class Coding(NamedTuple):
@@ -91,11 +103,11 @@ class Drawing(NamedTuple):
     coding: Coding
 
 
-def draw_pixel(at: At, images: PathImage, _: None, drawing: Drawing) -> Outcome:
+def draw_pixel(at: At, images: Drawn, _: None, drawing: Drawing) -> Outcome:
     """Pass L3: a pixel leaves a mark at its place at each of the times."""
-    path = Path(*images.paths.here())
-    height, width = images.paths.height, images.paths.width
-    level = drawing.coding.level(path.log_depth)
+    x, y, bend_x, bend_y, level = (image.here()[0] for image in images)
+    path = Path(x, y, level, bend_x, bend_y)
+    height, width = images.x.height, images.x.width
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
         x, y = path.at(time_of(k, drawing.intervals, path.x))
@@ -141,7 +153,9 @@ def owners_of(
             "fewer samples, or blur parts of the frame."
         )
     drawing = Drawing(intervals, Coding.of(settings.radius))
-    images = PathImage(Image(lax.stop_gradient(paths)))
+    path = Path(*jnp.moveaxis(lax.stop_gradient(paths), -1, 0))
+    level = drawing.coding.level(path.log_depth)
+    images = Drawn(*map(Image, (path.x, path.y, path.bend_x, path.bend_y, level)))
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, None, drawing),
         apart=intervals + 1,

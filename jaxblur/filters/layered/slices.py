@@ -133,10 +133,10 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
         offset_x = -time * way.x - squared * way.bend_x
         offset_y = -time * way.y - squared * way.bend_y
         texel = find_texel(at, offset_x, offset_y, images.color, settings)
-        point = Path(*images.paths.read_texel(texel.number))
+        point = Path(*images.paths.read_texel(texel.number, 3), way.bend_x, way.bend_y)
         # It lands if it hardly misses the pixel, or is of the owner's surface: if neither its
         # velocity nor its depth differs. Where two of these are equal the derivative is that of
-        # one.
+        # one. What bends its path is nearly what bends the owner's.
         there_x, there_y = point.at(time)
         miss = jnp.square(offset_x + there_x) + jnp.square(offset_y + there_y)
         apart = jnp.square(point.x - way.x) + jnp.square(point.y - way.y)
