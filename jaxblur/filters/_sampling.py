@@ -82,6 +82,8 @@ def find_texel(
     offset_y: Float[Array, "*shape"],
     image: Image,
     settings: Settings | None = None,
+    *,
+    held: bool = False,
 ) -> Texel:
     """The texel nearest to ``pixel + offset``: ``floor(p + offset + 1/2)`` per axis.
 
@@ -94,12 +96,16 @@ def find_texel(
         offset_y: in pixels downward.
         image: its size counts; all images of this size have the same texel.
         settings: border and fetch count; the edge texel and the nearest one if None.
+        held: whether what is read there has no derivative in the offset.
 
     Returns:
         The texel.
     """
-    blends = settings is not None and settings.fetch == "blend"
-    right, down = nearest_place(offset_x, offset_y, blends)
+    if held:
+        right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in (offset_x, offset_y))
+    else:
+        blends = settings is not None and settings.fetch == "blend"
+        right, down = nearest_place(offset_x, offset_y, blends)
     x, y = at.column + right, at.row + down
     near_x, near_y = jnp.clip(x, 0, image.width - 1), jnp.clip(y, 0, image.height - 1)
     inside = (near_x == x) & (near_y == y)

@@ -3,17 +3,17 @@
 At some (pixel, time) pairs no surface of the frame is in place: what is there was hidden behind
 something that has moved away. In order of preference, the color is that
 
-1. which the caller gives (`hidden`, for experiments);
-2. of the nearest surface that a neighbor frame has there;
-3. of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
+1. that which the caller gives (`hidden`, for experiments);
+2. mostly that of the nearest surface that a neighbor frame has there;
+3. that of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
    right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
    from which the pixel's own motion would have come lies behind, for otherwise nothing was
    uncovered: a surface stretches, or comes in over the border of the frame.
 
-One color is kept for each pixel, the mean over the times at which it is missing.
+One color is kept for each pixel, the mean over the times at which it is missing. It is
+differentiable in the colors; where they are taken from is held.
 """
 
-import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -40,6 +40,11 @@ STEPS = 2
 MISS = 1.0
 """Pixels by which such a point may miss the pixel."""
 
+BORROWED = 0.7
+"""Share of a neighbor's color where the frame has one too. The mean of two guesses errs less than
+either: 0.1 dB on rendered scenes, 0.4 on two of twelve."""
+
+_INSIDE = Settings(border="skip")
 _SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
@@ -96,12 +101,20 @@ class Found(NamedTuple):
     Attributes:
         color: it.
         known: how surely, 0 to 1.
-        depth: its log depth.
+        depth: its log depth; infinite where there is none.
     """
 
     color: tuple[Array, ...]
     known: Array
     depth: Array
+
+
+def _mixed(found: Found, borrowed: Found) -> tuple[Sequence[Array], Array]:
+    """A color of the frame and one of a neighbor, and how surely it is known."""
+    share = jnp.where(found.known > 0, BORROWED, 1)
+    share = jnp.where(borrowed.known > 0, share, 0).astype(found.known.dtype)
+    color = [a + share * (b - a) for a, b in zip(found.color, borrowed.color, strict=True)]
+    return color, jnp.maximum(found.known, borrowed.known)
 
 
 def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
@@ -117,11 +130,12 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
     def at_time(k: Int[Array, ""]) -> Sums:
         time = time_of(k, plan.intervals, own.x)
         owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
-        found = _of_frame(at, images, own, time, around, parameters, plan.settings)
+        found = _of_frame(at, images, own, time, around, parameters)
+        borrowed = Found(found.color, jnp.zeros_like(own.x), jnp.full_like(own.x, jnp.inf))
         for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
             ways = [(jnp.zeros_like(own.x),) * 2, (own.x, own.y), around.velocity]
-            found = _of_neighbor(at, neighbor, time, its_time - time, ways, found)
-        color, known = found.color, jnp.minimum(found.known, 1)
+            borrowed = _of_neighbor(at, neighbor, time, its_time - time, ways, borrowed)
+        color, known = _mixed(found, borrowed)
         if images.hidden is not None:
             times = lax.div(images.hidden.height, height)
             image = jnp.minimum(lax.div(k * times, jnp.int32(plan.intervals)), times - 1)
@@ -214,13 +228,11 @@ def _of_frame(
     time: Array,
     around: Around,
     parameters: LayeredParameters,
-    settings: Settings,
 ) -> Found:
     """What surrounds the pixel, as far as its own motion has uncovered something behind it."""
-    inside = dataclasses.replace(settings, border="skip", fetch="nearest")
     squared = time * time
     x, y = squared * own.bend_x - time * own.x, squared * own.bend_y - time * own.y
-    texel = find_texel(at, x, y, images.paths, inside)
+    texel = find_texel(at, x, y, images.paths, _INSIDE, held=True)
     depth = images.paths.read_texel(texel.number, 3)[2]
     behind = jnp.clip(parameters.front_sharpness * (depth - own.log_depth), 0, 1)
     known = jnp.where(texel.counts & around.exists, behind, 0)
@@ -238,7 +250,7 @@ def _of_neighbor(
     """
 
     def displacement(x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-        texel = find_texel(at, x, y, neighbor.color)
+        texel = find_texel(at, x, y, neighbor.color, held=True)
         opening_x, opening_y, closing_x, closing_y, depth = neighbor.motion.read_texel(texel.number)
         share = (1 + time) / 2
         across = opening_x + share * (closing_x - opening_x)
@@ -251,7 +263,7 @@ def _of_neighbor(
             _, across, down, _ = displacement(x, y)
             x, y = -across, -down
         number, across, down, depth = displacement(x, y)
-        texel = find_texel(at, x, y, neighbor.color, Settings(border="skip"))
+        texel = find_texel(at, x, y, neighbor.color, _INSIDE, held=True)
         miss = jnp.square(x - texel.across + across) + jnp.square(y - texel.down + down)
         takes = texel.counts & (miss <= MISS**2) & (depth < found.depth)
         color = neighbor.color.read_texel(number)

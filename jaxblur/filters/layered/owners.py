@@ -115,7 +115,9 @@ def draw_pixel(at: At, images: Drawn, _: None, drawing: Drawing) -> Outcome:
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         place = (k * height + jnp.where(inside, row, 0)) * width + jnp.where(inside, column, 0)
-        return ((place, jnp.where(inside & moves(path), drawing.coding.mark(level, right, down), 0)),)
+        return (
+            (place, jnp.where(inside & moves(path), drawing.coding.mark(level, right, down), 0)),
+        )
 
     count = jnp.where(moves(path), drawing.intervals + 1, 0).astype(path.x.dtype)
     return Outcome(mark_over(count, mark), where=moves(path))
