@@ -1,7 +1,10 @@
-"""Pass L1 of `layered`: the motion of every pixel, cleaned of mixtures at silhouettes.
+"""Pass L1 of `layered`: the motion and depth of every pixel, cleaned of mixtures at silhouettes.
 
 A renderer that averages vectors over a pixel, as Blender does, gives pixels on a silhouette a
 velocity between that of the object and that of the background, although nothing moves that way.
+And a pixel that an object covers in part, but not in the middle, has the depth of the background
+while its color is partly that of the object: it would stay behind as an outline when the object
+moves.
 """
 
 import functools
@@ -9,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
 from ...frame import Frame
@@ -22,6 +26,9 @@ NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) i
 _LONGEST = 1e18
 """Pixels to which neighbors' velocities are cut, so that no square overflows."""
 
+MIXED = 0.03
+"""Least share of a nearer surface in a pixel's color that makes the pixel part of that surface."""
+
 THIN = 6
 """Farther neighbors, of eight, that make a pixel part of something one pixel wide."""
 
@@ -34,10 +41,12 @@ class Buffers(NamedTuple):
     Attributes:
         motion: (H, W, 2) velocity, or (H, W, 4) path.
         depth: (H, W, 1) scene units.
+        color: (H, W, C).
     """
 
     motion: Image
     depth: Image
+    color: Image
 
 
 class Limits(NamedTuple):
@@ -58,7 +67,7 @@ class Motion(NamedTuple):
     Attributes:
         x: of the velocity, within the radius, pixels to the right.
         y: pixels downward.
-        log_depth: natural logarithm of the pixel's own depth.
+        log_depth: natural logarithm of the depth of the surface whose motion it is.
         taken_from: the pixel that the motion is from, see `taken_from`.
     """
 
@@ -75,14 +84,16 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
     side, the others the other side. Where there is another side, the pixel takes the motion, its
     own or one of its own side, whose velocity is farthest from the mean of the other side.
 
+    A pixel is of its own depth's side, unless its color is partly that of a nearer neighbor: with F
+    the color beyond that neighbor and B that on the pixel's other side, the share a of the nearer
+    surface is that of ``C = a F + (1 - a) B``. Then the pixel is of the neighbor's side.
+
     A thing one pixel wide has no pure pixel. There the velocity is extrapolated, away from the mean
     of the other side, until it is slowest: a pole that moves with the camera before a background
     that does not is at rest.
     """
     (depth,) = images.depth.here()
     own_velocity = _velocity(images.motion.here())
-
-    # Which neighbors lie apart in depth, and which behind.
     near = [
         (
             jnp.clip(at.row + down, 0, images.depth.height - 1),
@@ -91,19 +102,32 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
         for down, right in NEIGHBORS
     ]
     step = jnp.exp(1 / limits.separation)
-    own_depth = finite_depth(depth)
-    farther, nearer = own_depth * step, own_depth / step
     depths = [finite_depth(images.depth.read(*place)[0]) for place in near]
-    behind = [d > farther for d in depths]
-    apart = [far | (d < nearer) for far, d in zip(behind, depths, strict=True)]
+    own_depth = finite_depth(depth)
+    jumps = [(d > own_depth * step) | (d < own_depth / step) for d in depths]
 
-    def motion(velocity: Vector, number: Array) -> Motion:
+    # The pixel's side: its own, or that of the nearest neighbor if its color is partly of that.
+    nearest, covering = own_depth / step, jnp.zeros_like(own_depth)
+    for d, (down, right) in zip(depths, NEIGHBORS, strict=True):
+        covering = jnp.where(d < nearest, 4.0 * down + right, covering)
+        nearest = jnp.where(d < nearest, d, nearest)
+    mixed = _share_of_nearer(at, images, own_depth / step, covering) > MIXED
+    side_depth = jnp.where(mixed, nearest, own_depth)
+    start = jnp.where(mixed, covering, 0)
+
+    # Which neighbors lie apart in depth, and which behind.
+    behind = [d > side_depth * step for d in depths]
+    apart = [far | (d < side_depth / step) for far, d in zip(behind, depths, strict=True)]
+
+    def motion(velocity: Vector, depth: Array, number: Array) -> Motion:
         x, y = velocity
         shorter = shortening(safe_norm(x, y), settings.radius)
-        return Motion(x * shorter, y * shorter, jnp.log(finite_depth(depth)), number)
+        return Motion(x * shorter, y * shorter, jnp.log(depth), number)
 
     # The mean velocity of the other side.
-    own = _cut(own_velocity)
+    across, down = taken_from(start)
+    row, column = at.row + down.astype(jnp.int32), at.column + across.astype(jnp.int32)
+    own = _cut(_velocity(images.motion.read(row, column)))
     vectors = [_cut(_velocity(images.motion.read(*place))) for place in near]
     count = jnp.maximum(_count(apart, own[0]), 1)
     mean = [
@@ -116,19 +140,55 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
     def distance(vector: Vector) -> Array:
         return jnp.square(vector[0] - mean[0]) + jnp.square(vector[1] - mean[1])
 
-    best, taken, number = distance(own), own, jnp.zeros_like(own[0])
+    best, taken, number = distance(own), own, start
     for a, vector, (down, right) in zip(apart, vectors, NEIGHBORS, strict=True):
         take = (distance(vector) > best) & ~a
         best = jnp.where(take, distance(vector), best)
         taken = [jnp.where(take, new, old) for new, old in zip(vector, taken, strict=True)]
         number = jnp.where(take, 4.0 * down + right, number)
     thin = _count(behind, own[0]) >= THIN
-    pure = motion(_extrapolated(taken, mean, thin, limits.coverage), number)
+    pure = motion(_extrapolated(taken, mean, thin, limits.coverage), side_depth, number)
     return Outcome(
         pure,
-        where=functools.reduce(jnp.logical_or, apart),
-        otherwise=motion(own_velocity, jnp.zeros_like(own_velocity[0])),
+        where=functools.reduce(jnp.logical_or, jumps),
+        otherwise=motion(own_velocity, own_depth, jnp.zeros_like(own_depth)),
     )
+
+
+def _share_of_nearer(at: At, images: Buffers, nearer: Array, covering: Array) -> Array:
+    """Share of a nearer surface in the pixel's color; 0 where it cannot be told.
+
+    Args:
+        at: the pixel.
+        images: see `Buffers`.
+        nearer: depth above which nothing counts as nearer.
+        covering: the neighbor that may cover the pixel in part, see `taken_from`; 0 for none.
+    """
+    across, down = (part.astype(jnp.int32) for part in taken_from(covering))
+
+    def place(steps: int) -> tuple[Array, Array, Array]:
+        row, column = at.row + steps * down, at.column + steps * across
+        inside = (row >= 0) & (row < images.depth.height)
+        inside = inside & (column >= 0) & (column < images.depth.width)
+        row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
+        is_nearer = finite_depth(images.depth.read(row, column)[0]) < nearer
+        return row, column, inside & is_nearer
+
+    row, column, is_nearer = place(2)
+    beyond = images.color.read(row, column)
+    row, column, _ = place(1)
+    inner = [
+        jnp.where(is_nearer, *pair)
+        for pair in zip(beyond, images.color.read(row, column), strict=True)
+    ]
+    row, column, is_nearer = place(-1)
+    outer = images.color.read(row, column)
+    gaps = [a - b for a, b in zip(inner, outer, strict=True)]
+    apart = [a - b for a, b in zip(images.color.here(), outer, strict=True)]
+    squared = _sum(jnp.square(gap) for gap in gaps)
+    known = (covering != 0) & ~is_nearer & (squared > 0)
+    share = _sum(a * b for a, b in zip(apart, gaps, strict=True)) / jnp.where(known, squared, 1)
+    return jnp.where(known, share, 0)
 
 
 def _velocity(channels: Sequence[Array]) -> Vector:
@@ -182,8 +242,9 @@ def motion_of(
     """
     height, width = frame.depth.shape
     motion = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
+    color = lax.stop_gradient(frame.color)
     return each_pixel(
-        *(purest_motion, (height, width), Buffers(Image(motion), Image(frame.depth))),
+        *(purest_motion, (height, width), Buffers(Image(motion), Image(frame.depth), Image(color))),
         *(Limits(separation, coverage), settings),
         backend=settings.backend,
     )
