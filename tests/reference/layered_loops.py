@@ -36,18 +36,45 @@ def shortening(vector, radius):
     return min(1.0, radius / max(math.hypot(*vector), 1e-300))
 
 
-def purest(motion, depth, separation, coverage):
-    """Motion of the own side least like the other side; of thin things the slowest possible."""
+def share_of_nearer(color, is_nearer, row, column, offset):
+    """How much of a pixel's color is that of a nearer neighbor at an offset."""
+
+    def there(steps):
+        y, x = row + steps * offset[0], column + steps * offset[1]
+        if 0 <= y < color.shape[0] and 0 <= x < color.shape[1]:
+            return (y, x), is_nearer((y, x))
+        return (row, column), False
+
+    (inner, beyond_is_nearer), (beside, _), (outer, blocked) = there(2), there(1), there(-1)
+    gap = color[inner if beyond_is_nearer else beside] - color[outer]
+    if blocked or not gap @ gap > 0:
+        return 0.0
+    return (color[row, column] - color[outer]) @ gap / (gap @ gap)
+
+
+def purest(motion, depth, color, separation, coverage):
+    """Motion of the own side least like the other side; of thin things the slowest possible.
+
+    Returns the motion, and the depth of the side that it is of.
+    """
     height, width = depth.shape
-    out = np.empty_like(motion)
+    out, sides = np.empty_like(motion), depth.copy()
     for row, column in np.ndindex(depth.shape):
         near = [
             (min(max(row + a, 0), height - 1), min(max(column + b, 0), width - 1))
             for a, b in AROUND
         ]
-        steps = [(depth[n] - depth[row, column]) * separation for n in near]
+        own, taken = depth[row, column], motion[row, column].copy()
+        nearest = min(range(8), key=lambda k: depth[near[k]])
+        if own - depth[near[nearest]] > 1 / separation:
+            share = share_of_nearer(
+                *(color, lambda at: own - depth[at] > 1 / separation, row, column),
+                AROUND[nearest],
+            )
+            if share > 0.05:
+                own, taken = depth[near[nearest]], motion[near[nearest]].copy()
+        steps = [(depth[n] - own) * separation for n in near]
         other = [motion[n][:2] for n, step in zip(near, steps, strict=True) if abs(step) > 1]
-        taken = motion[row, column].copy()
         if other:
             mean = np.mean(other, axis=0)
             for n, step in zip(near, steps, strict=True):
@@ -58,85 +85,8 @@ def purest(motion, depth, separation, coverage):
             if sum(step > 1 for step in steps) >= 6 and gap @ gap > 0.25:
                 share = -(taken[:2] @ gap) / (gap @ gap)
                 taken[:2] += min(max(share, 0.0), 1 / coverage - 1) * gap
-        out[row, column] = taken
-    return out
-
-
-def side_of_tiles(radius):
-    if radius <= 8:
-        return radius
-    fitting = [s for s in range(5, 13) if radius % s == 0]
-    return min(fitting, key=lambda s: (abs(s - 8), s)) if fitting else 8
-
-
-def speed_of(vector, radius):
-    """Norm, in which vectors that were clamped to one length tie."""
-    speed = math.hypot(*vector)
-    return radius if speed > radius * (1 - 1e-5) else speed
-
-
-def lines_of(motion, size, radius):
-    """The fastest pixel of every tile: (velocity, pixel), tiles in row-major order."""
-    height, width = motion.shape[:2]
-    lines = []
-    for top in range(0, height, size):
-        for left in range(0, width, size):
-            tile = [
-                (row, column)
-                for row in range(top, min(top + size, height))
-                for column in range(left, min(left + size, width))
-            ]
-            pixel = max(tile, key=lambda at: speed_of(motion[at][:2], radius))
-            lines.append((motion[pixel][:2], pixel))
-    return lines
-
-
-def crossings(lines, speeds, grid, size):
-    """For every tile the set of lines whose width covers it at one of the steps."""
-    rows, columns = grid
-    crossed = [set() for _ in range(rows * columns)]
-    half = size / 2 - 0.25
-    for number, (v, (row, column)) in enumerate(lines):
-        steps = max(math.ceil(speeds[number] / size - 1e-3), 1)
-        for step in range(-steps, steps + 1):
-            t = step / steps
-            for a in (-half, half):
-                for b in (-half, half):
-                    y = math.floor((row + 0.5 + t * v[1] + a) / size)
-                    x = math.floor((column + 0.5 + t * v[0] + b) / size)
-                    if 0 <= y < rows and 0 <= x < columns:
-                        crossed[y * columns + x].add(number)
-    return crossed
-
-
-def tile_velocities(motion, depth, size, radius):
-    """Two velocities, or zeros, for every tile in row-major order."""
-    height, width = depth.shape
-    grid = -(-height // size), -(-width // size)
-    lines = lines_of(motion, size, radius)
-    speeds = [speed_of(v, radius) for v, _ in lines]
-    levels = (2**31 - 1) // (math.ceil(7680 / size) * math.ceil(4320 / size)) - 1
-    found = []
-    for number, crossed in enumerate(crossings(lines, speeds, grid, size)):
-        top, left = (number // grid[1]) * size, (number % grid[1]) * size
-        farthest = depth[top : top + size, left : left + size].max()
-        crossed = [k for k in crossed if speeds[k] > 0.5]
-        front = {k: farthest - depth[lines[k][1]] > 0.05 for k in crossed}
-        if not crossed:
-            found.append((np.zeros(2), np.zeros(2)))
-            continue
-        first = max(crossed, key=lambda k: (front[k], speeds[k], -k))
-        apart = {k: math.hypot(*(lines[k][0] - lines[first][0])) for k in crossed}
-        level = {
-            k: math.floor(min(min(speeds[k], apart[k]) / radius, 1) * levels)
-            // (1 if front[k] else 20)
-            for k in crossed
-        }
-        rest = [k for k in crossed if apart[k] > 1]
-        second = max(rest, key=lambda k: (level[k], speeds[k], -k), default=None)
-        second = np.zeros(2) if second is None else lines[second][0]
-        found.append((lines[first][0], second))
-    return found
+        out[row, column], sides[row, column] = taken, own
+    return out, sides
 
 
 def at_texel(row, column, x, y, shape, border):
@@ -174,85 +124,142 @@ def turn_of(motion, depth, row, column, sharpness):
     return np.mean(changes, axis=0) if changes else np.zeros(2)
 
 
-def ways_of(motion, depth, candidates, row, column, parameters, curved):
-    """Velocity, turn, bend and share of own of the three guesses."""
-    v = motion[row, column][:2]
-    turn = turn_of(motion, depth, row, column, parameters["surface_sharpness"])
-    bend = turn - motion[row, column][2:] if curved else parameters["bend"] * turn
-    ways = [(v, turn, bend, 1.0)]
-    for u in candidates:
-        differs = 0.0
-        if (u != 0).any():
-            differs = clip01(2 * ((u - v) @ (u - v)) / parameters["distinct"] ** 2 - 1)
-        ways.append(
-            (v + differs * (u - v), (1 - differs) * turn, (1 - differs) * bend, 1 - differs)
-        )
-    return ways
+def paths_of(motion, depth, parameters, radius, curved):
+    """Velocity and bend of every pixel, within the radius together."""
+    paths = motion.copy()
+    for row, column in np.ndindex(depth.shape):
+        if not curved:
+            turn = turn_of(motion, depth, row, column, parameters["surface_sharpness"])
+            paths[row, column, 2:] = parameters["bend"] * turn
+        speed, bend = (math.hypot(*part) for part in np.split(paths[row, column], 2))
+        if bend > radius - speed:
+            paths[row, column, 2:] *= (radius - speed) / bend
+    return paths
 
 
-def layered_pixel(color, depth, motion, ways, row, column, tap, parameters, settings):
-    count = settings["samples"] // 3
-    here, v = depth[row, column], ways[0][0]
+def place_at(path, t):
+    return t * path[:2] + t * t * path[2:]
+
+
+def moves(path):
+    return math.hypot(*path[:2]) > 0.5 or math.hypot(*path[2:]) > 0.5
+
+
+def level_of(depth, radius):
+    """Depths are told apart by levels, as many as a mark has room for."""
+    levels = 2 ** (31 - 2 * int(2 * radius).bit_length())
+    share = 1 - (depth + 10 * math.log(2)) / (32 * math.log(2))
+    return min(max(math.floor(share * levels), 1), levels - 1)
+
+
+def owners_of(paths, depth, radius, intervals):
+    """The owner of every pixel at every time, None where there is none."""
+    height, width = depth.shape
+    owners = []
+    for k in range(intervals + 1):
+        t, found = 2 * k / intervals - 1, {}
+        for row, column in np.ndindex(depth.shape):
+            if not moves(paths[row, column]):
+                continue
+            right, down = (math.floor(part + 0.5) for part in place_at(paths[row, column], t))
+            at = row + down, column + right
+            if 0 <= at[0] < height and 0 <= at[1] < width:
+                mark = level_of(depth[row, column], radius), down, right
+                found[at] = max(found.get(at, mark), mark)
+        image = {}
+        for at in np.ndindex(depth.shape):
+            mark = found.get(at)
+            rests = not moves(paths[at])
+            if rests and (mark is None or mark[0] <= level_of(depth[at], radius)):
+                image[at] = at
+            elif mark is not None:
+                image[at] = at[0] - mark[1], at[1] - mark[2]
+        owners.append(image)
+    return owners
+
+
+def background_of(color, paths, depth, owners, row, column, parameters):
+    """What shows where there is no owner: a color times how much of it is known, and that."""
+    own, z = paths[row, column], depth[row, column]
+    missing = [k for k, image in enumerate(owners) if (row, column) not in image]
+    total, share = np.zeros(color.shape[2]), 0.0
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        for distance in range(1, 17):
+            at = row + down * distance, column + right * distance
+            inside = 0 <= at[0] < depth.shape[0] and 0 <= at[1] < depth.shape[1]
+            if inside and depth[at] > z + 1 / parameters["surface_sharpness"]:
+                total += color[at] / distance**2
+                share += 1 / distance**2
+                break
+    if not missing or share == 0:
+        return np.zeros(color.shape[2]), 0.0
+    known = 0.0
+    for k in missing:
+        t = 2 * k / (len(owners) - 1) - 1
+        x, y = t * t * own[2:] - t * own[:2]
+        where, counts = at_texel(row, column, x, y, depth.shape, "skip")
+        known += counts * clip01(parameters["front_sharpness"] * (depth[where] - z))
+    known /= len(missing)
+    return known * total / share, known
+
+
+def guess(color, paths, depth, owner, at, times, parameters, settings):
+    """How surely a guess lands, its depth and color, and the way that it was made along."""
+    t, own_time = times
+    way = paths[at if owner is None else owner]
+    x, y = -t * way[:2] - own_time**2 * way[2:]
+    where, counts = at_texel(*at, x, y, depth.shape, settings["border"])
+    miss = np.array([x, y]) + t * paths[where][:2] + t * t * way[2:]
+    apart = paths[where][:2] - way[:2]
+    differs = max(
+        (apart @ apart) / (parameters["own_tolerance"] ** 2 * (way[:2] @ way[:2] + 0.25)),
+        parameters["surface_sharpness"] * abs(depth[where] - depth[at if owner is None else owner]),
+    )
+    misses = (miss @ miss) / parameters["landing_tolerance"] ** 2
+    lands = clip01(1.5 - min(misses, differs)) if counts and owner is not None else 0.0
+    if settings["fetch"] == "bilinear":
+        seen = between(color, at[0] + y, at[1] + x, 1 if abs(way[0]) >= abs(way[1]) else 0)
+    else:
+        seen = color[where]
+    return lands, depth[where], seen, way
+
+
+def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings):
+    count, intervals = settings["samples"] // 3, len(owners) - 1
+    behind, known = background_of(color, paths, depth, owners, *at, parameters)
     total, weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
-        middle = 2 * i + 1 - count
-        guesses = []
-        for k, (u, turn, bend, own) in enumerate(ways):
-            place = (0, -1, 1)[k] * np.sign(middle)
-            t = (middle + 2 * (place + tap * parameters["jitter"] / 2) / 3) / count
-            x, y = t * t * bend - t * u
-            where, counts = at_texel(row, column, x, y, depth.shape, settings["border"])
-            miss = motion[where][:2] - u + t * turn
-            misses = t * t * (miss @ miss) / parameters["landing_tolerance"] ** 2
-            differs = max(
-                (miss @ miss) / (parameters["own_tolerance"] ** 2 * (v @ v + 0.25)),
-                parameters["surface_sharpness"] * abs(depth[where] - here),
-            )
-            differs += 1.5 * (1 - own)
-            lands = clip01(1.5 - min(misses, differs)) if counts else 0.0
-            if k == 0 and settings["fetch"] == "bilinear":
-                seen = between(color, row + y, column + x, 1 if abs(u[0]) >= abs(u[1]) else 0)
-            else:
-                seen = color[where]
-            guesses.append((lands, depth[where], seen, counts))
-        shares = [
-            lands
-            * math.prod(
-                1
-                - other
-                * (1 - ways[j][3] * ways[k][3])
-                * clip01(parameters["front_sharpness"] * (z - nearer))
-                for j, (other, nearer, _, _) in enumerate(guesses)
-                if j != k
-            )
-            for k, (lands, z, _, _) in enumerate(guesses)
-        ]
-        empty = math.prod(1 - lands for lands, *_ in guesses)
-        shares = [share * (1 - empty) / max(sum(shares), 1e-6) for share in shares]
-        if guesses[0][3]:
-            shares[0] += empty * clip01(parameters["front_sharpness"] * (guesses[0][1] - here))
-        total += sum(share * guess[2] for share, guess in zip(shares, guesses, strict=True))
-        weights += sum(shares)
-    return total / weights if weights > 1e-3 else color[row, column]
+        first = int((2 * i + 1) * (intervals / 2) / count)
+        pair = []
+        for k, side in enumerate((-0.5, 0.5)):
+            t = (2 * i + 1 - count + side + tap * parameters["jitter"] / 2) / count
+            times = t, 2 * (first + k) / intervals - 1
+            owner = owners[first + k].get(at)
+            pair.append(guess(color, paths, depth, owner, at, times, parameters, settings))
+        (lands, z, seen, way), (other_lands, other_z, other_seen, other_way) = pair
+        apart = way[:2] - other_way[:2]
+        differ = clip01(2 * (apart @ apart) / parameters["distinct"] ** 2 - 1)
+        hidden = differ * clip01(parameters["front_sharpness"] * (z - other_z))
+        other_hidden = differ * clip01(parameters["front_sharpness"] * (other_z - z))
+        shares = lands * (1 - other_lands * hidden), other_lands * (1 - lands * other_hidden)
+        empty = (1 - lands) * (1 - other_lands)
+        filled = (1 - empty) / max(sum(shares), 1e-6)
+        total += filled * (shares[0] * seen + shares[1] * other_seen) + empty * behind
+        weights += filled * sum(shares) + empty * known
+    return total / weights if weights > 1e-3 else color[at]
 
 
 def layered(color, depth, velocity, parameters, settings, tap, path=None):
     """The filter; parameters and settings as dicts."""
-    color, z = color.astype(np.float64), log_depth(depth)
-    motion = motion_of(velocity.astype(np.float64), path, settings["radius"])
-    motion = purest(motion, z, parameters["surface_sharpness"], parameters["thin_coverage"])
-    size = side_of_tiles(settings["radius"])
-    tiles, columns = (
-        tile_velocities(motion, z, size, settings["radius"]),
-        -(-depth.shape[1] // size),
-    )
+    color, z, radius = color.astype(np.float64), log_depth(depth), settings["radius"]
+    motion = motion_of(velocity.astype(np.float64), path, radius)
+    sharpness, coverage = parameters["surface_sharpness"], parameters["thin_coverage"]
+    motion, z = purest(motion, z, color, sharpness, coverage)
+    paths = paths_of(motion, z, parameters, radius, path is not None)
+    owners = owners_of(paths, z, radius, min(settings["samples"] // 3, 8))
     out = color.copy()
-    for row, column in np.ndindex(depth.shape):
-        candidates = tiles[(row // size) * columns + column // size]
-        ways = ways_of(motion, z, candidates, row, column, parameters, path is not None)
-        moves = math.hypot(*ways[0][0]) > 0.5 or any(own < 1 for *_, own in ways[1:])
-        if moves:
-            out[row, column] = layered_pixel(
-                color, z, motion, ways, row, column, tap[row, column], parameters, settings
-            )
+    for at in np.ndindex(depth.shape):
+        drawn = any(image.get(at, at) != at for image in owners)
+        if drawn or moves(paths[at]):
+            out[at] = layered_pixel(color, paths, z, owners, at, tap[at], parameters, settings)
     return out
