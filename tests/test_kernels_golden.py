@@ -121,7 +121,13 @@ PASSES = {
     "guertin2014": ["clamp_motion", "_search_tile", "tile_velocity", "ring_velocity", "blur_pixel"],
     "mcguire2012": ["clamp_motion", "_search_tile", "tile_velocity", "ring_velocity", "blur_pixel"],
     "pixel_velocity": ["blur_pixel"],
-    "layered": ["purest_motion", "_search_tile", "draw_lines", "draw_lines", "blur_pixel"],
+    "layered": [
+        "purest_motion",
+        "path_of_pixel",
+        "draw_pixel",
+        "background_of_pixel",
+        "blur_pixel",
+    ],
 }
 
 

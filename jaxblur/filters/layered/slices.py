@@ -232,7 +232,7 @@ def _blur(
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     slices = settings.samples // LAYERED_SLICE
-    intervals = intervals_of(settings, slices)
+    intervals = intervals_of(slices)
     coding = Coding.of(settings.radius)
     paths = paths_of(frame, parameters, settings)
     owners = Image(owners_of(paths, intervals, settings))
