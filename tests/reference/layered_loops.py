@@ -69,7 +69,7 @@ def purest(motion, depth, color, separation, coverage):
         if own - depth[near[nearest]] > 1 / separation:
             nearer = depth < own - 1 / separation
             share = share_of_nearer(color, nearer, row, column, AROUND[nearest])
-            if share > 0.05:
+            if share > 0.02:
                 own, taken = depth[near[nearest]], motion[near[nearest]].copy()
         steps = [(depth[n] - own) * separation for n in near]
         other = [motion[n][:2] for n, step in zip(near, steps, strict=True) if abs(step) > 1]

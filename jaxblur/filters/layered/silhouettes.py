@@ -26,7 +26,7 @@ NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) i
 _LONGEST = 1e18
 """Pixels to which neighbors' velocities are cut, so that no square overflows."""
 
-MIXED = 0.05
+MIXED = 0.02
 """Least share of a nearer surface in a pixel's color that makes the pixel part of that surface."""
 
 THIN = 6
