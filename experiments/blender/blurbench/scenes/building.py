@@ -102,6 +102,7 @@ def lamp(position: Vector, target: Vector, size: float, power: float) -> None:
     lamp = bpy.data.objects.new("Lamp", light)
     lamp.location = position
     lamp.rotation_euler = _facing(position, target)
+    lamp.visible_glossy = lamp.visible_transmission = False
     bpy.context.scene.collection.objects.link(lamp)
 
 
@@ -389,16 +390,45 @@ def prism(outline: np.ndarray, thickness: float) -> Any:
 
 def animate(thing: Any, **motions: Motion) -> None:
     """Key properties of three values, for instance ``location=linear((0, 0, 1), (0.1, 0, 0))``."""
-    times = np.linspace(FIRST_KEY, LAST_KEY, (LAST_KEY - FIRST_KEY) * KEYS_PER_FRAME + 1)
-    action = bpy.data.actions.new(thing.name)
-    thing.animation_data_create().action = action
     for path, motion in motions.items():
-        values = np.array([list(motion(float(time))) for time in times])
+        values = np.array([list(motion(time)) for time in _key_times()])
         for axis in range(3):
-            curve = action.fcurve_ensure_for_datablock(thing, path, index=axis)
-            curve.keyframe_points.add(len(times))
-            keys = np.stack([times, values[:, axis]], -1)
-            curve.keyframe_points.foreach_set("co", keys.ravel())
-            for point in curve.keyframe_points:
-                point.interpolation = "LINEAR"
-            curve.update()
+            _key(thing, path, axis, values[:, axis])
+
+
+def add_shape(
+    thing: Any, name: str, points: np.ndarray, weight: Callable[[float], float]
+) -> None:
+    """Move the points of a mesh by a weighted offset, a shape key.
+
+    Args:
+        thing: object with a mesh of as many points.
+        name: of the shape.
+        points: (..., 3) where the points are at weight 1; at weight 0 they are where they were.
+        weight: as a function of time, of any sign.
+    """
+    if thing.data.shape_keys is None:
+        thing.shape_key_add(name="Basis")
+    shape = thing.shape_key_add(name=name)
+    shape.slider_min, shape.slider_max = -10.0, 10.0
+    shape.data.foreach_set("co", points.astype(np.float32).ravel())
+    values = np.array([weight(time) for time in _key_times()])
+    _key(thing.data.shape_keys, f'key_blocks["{name}"].value', 0, values)
+
+
+def _key_times() -> list[float]:
+    count = (LAST_KEY - FIRST_KEY) * KEYS_PER_FRAME + 1
+    return np.linspace(FIRST_KEY, LAST_KEY, count).tolist()
+
+
+def _key(owner: Any, path: str, axis: int, values: np.ndarray) -> None:
+    """Give one value at each of the key times, with lines between them."""
+    animation = owner.animation_data or owner.animation_data_create()
+    if animation.action is None:
+        animation.action = bpy.data.actions.new(owner.name)
+    curve = animation.action.fcurve_ensure_for_datablock(owner, path, index=axis)
+    curve.keyframe_points.add(len(values))
+    curve.keyframe_points.foreach_set("co", np.stack([_key_times(), values], -1).ravel())
+    for point in curve.keyframe_points:
+        point.interpolation = "LINEAR"
+    curve.update()

@@ -55,7 +55,7 @@ def crowd() -> Any:
             phase=drawn.uniform(0, 2 * math.pi),
         )
         heading = drawn.uniform(0, 2 * math.pi)
-        speed = drawn.uniform(0.1, 0.24)
+        speed = drawn.uniform(0.15, 0.4)
         column, row = i % 10, i // 10
         start = (1.5 * (column - 4.5) + drawn.uniform(-0.4, 0.4), 1.6 * row - 1.5, 0)
         runner.rotation_euler = (0, 0, heading)
@@ -64,7 +64,7 @@ def crowd() -> Any:
         b.animate(runner, location=b.linear(start, velocity))
     ground = b.material("ground", (0.15, 0.14, 0.13), (0.45, 0.42, 0.38), "brick", 1.5)
     b.add("ground", b.plane(80, 80), ground)
-    b.aim_camera(b.linear((0, -8.5, 5.5), (0.02, 0, 0)), b.still(0, 0.5, 0.6))
+    b.aim_camera(b.linear((0, -5.2, 2.8), (0.05, 0, 0)), b.still(0, 1.2, 0.6))
     return scene
 
 
@@ -80,9 +80,16 @@ def mirror_dance() -> Any:
     dancer = figure("dancer", skin, shirt, trousers, phase=1.0)
     b.animate(
         dancer,
-        location=b.linear((-0.5, 0.2, 0), (0.03, 0.0, 0)),
-        rotation_euler=b.spin(2, 0.35, start=0.7),
+        location=b.linear((-0.5, 0.2, 0), (0.1, 0.04, 0)),
+        rotation_euler=b.spin(2, 0.4, start=0.7),
     )
+    striped = b.material("striped", (0.6, 0.05, 0.02), (0.9, 0.85, 0.7), "stripes", 6)
+    for name, start, velocity in (
+        ("ball", (0.9, 0.6, 1.3), (0.05, 0.16, 0.12)),
+        ("near ball", (0.5, -1.2, 0.6), (-0.1, 0.1, 0.06)),
+    ):
+        thrown = b.add(name, b.ball(0.17), striped)
+        b.animate(thrown, location=b.linear(start, velocity), rotation_euler=b.spin(0, 0.3))
     floor = b.material("floor", (0.12, 0.06, 0.03), (0.45, 0.28, 0.15), "brick", 2)
     b.add("floor", b.plane(30, 30), floor)
     b.add("mirror", b.box(6, 0.1, 3.2), b.reflector("silver", (0.9, 0.92, 0.9)), None, (0, 2, 1.65))
@@ -92,7 +99,7 @@ def mirror_dance() -> Any:
     b.add("top frame", b.box(6.2, 0.25, 0.2), frame, None, (0, 1.95, 3.4))
     back = b.material("back wall", (0.1, 0.15, 0.3), (0.4, 0.45, 0.6), "cells", 1.5)
     b.add("back wall", b.plane(30, 8), back, None, (0, -7.5, 4), (-math.pi / 2, 0, 0))
-    b.aim_camera(b.linear((1.6, -4.2, 1.5), (-0.03, 0, 0)), b.still(0.1, 1, 1.1))
+    b.aim_camera(b.linear((1.5, -3.9, 1.5), (-0.07, 0, 0)), b.still(0.2, 1, 1.15))
     return scene
 
 
