@@ -396,9 +396,7 @@ def animate(thing: Any, **motions: Motion) -> None:
             _key(thing, path, axis, values[:, axis])
 
 
-def add_shape(
-    thing: Any, name: str, points: np.ndarray, weight: Callable[[float], float]
-) -> None:
+def add_shape(thing: Any, name: str, points: np.ndarray, weight: Callable[[float], float]) -> None:
     """Move the points of a mesh by a weighted offset, a shape key.
 
     Args:

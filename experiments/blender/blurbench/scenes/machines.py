@@ -113,7 +113,13 @@ def drone_rotors() -> Any:
         place = (0.62 * math.cos(angle), 0.62 * math.sin(angle), 0.05)
         half = (place[0] / 2, place[1] / 2, 0.03)
         b.add(
-            f"arm {index}", b.box(0.62, 0.05, 0.04), arms, body, half, (0, 0, angle), foreground=True
+            f"arm {index}",
+            b.box(0.62, 0.05, 0.04),
+            arms,
+            body,
+            half,
+            (0, 0, angle),
+            foreground=True,
         )
         height = 0.09 + 0.03 * (index % 2)
         hub = b.add(
@@ -189,13 +195,23 @@ def _gear(teeth: int, module: float) -> Any:
 
 
 def _car(motion: b.Motion, speed: float) -> None:
-    paint = b.material("car paint", (0.35, 0.01, 0.01), (0.8, 0.12, 0.05), "noise", 6, roughness=0.3)
+    paint = b.material(
+        "car paint", (0.35, 0.01, 0.01), (0.8, 0.12, 0.05), "noise", 6, roughness=0.3
+    )
     trim = b.material("trim", (0.02, 0.02, 0.03), (0.25, 0.28, 0.35), "stripes", 3, roughness=0.2)
     tire = b.material("tire", (0.015, 0.015, 0.015), (0.1, 0.1, 0.1), "noise", 20)
     alloy = b.material("alloy", (0.3, 0.3, 0.3), (0.85, 0.85, 0.85), "noise", 10)
     body = b.add("car", None)
     b.animate(body, location=motion)
-    sides = [(-2, 0.35), (2, 0.35), (2.05, 0.75), (1.2, 0.95), (0.5, 1.4), (-1.1, 1.4), (-1.9, 0.95)]
+    sides = [
+        (-2, 0.35),
+        (2, 0.35),
+        (2.05, 0.75),
+        (1.2, 0.95),
+        (0.5, 1.4),
+        (-1.1, 1.4),
+        (-1.9, 0.95),
+    ]
     b.add("body", b.prism(np.array(sides), 1.6), paint, body, (0, 0, 0), FACING_CAMERA)
     glass = [(1.05, 0.95), (0.42, 1.32), (-0.25, 1.32), (-0.25, 0.95)]
     b.add("front window", b.prism(np.array(glass), 1.64), trim, body, (0, 0, 0), FACING_CAMERA)
@@ -244,7 +260,9 @@ def _town() -> None:
     skins = []
     for index in range(5):
         color = [drawn.uniform(0.15, 0.5) for _ in range(3)]
-        skins.append(b.material(f"house {index}", color, [1.6 * c for c in color], "brick", 9, "UV"))
+        skins.append(
+            b.material(f"house {index}", color, [1.6 * c for c in color], "brick", 9, "UV")
+        )
     for column in range(-9, 10):
         for row in range(-3, 16):
             height = drawn.uniform(2, 12)

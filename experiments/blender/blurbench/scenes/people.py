@@ -25,9 +25,7 @@ def running_figure() -> Any:
     for x in (-3.6, -0.9, 1.8):
         b.add(f"post {x}", b.cylinder(0.09, 2.6), post, None, (x, 1.6, 1.3))
     travel = 0.11
-    b.aim_camera(
-        b.linear((0, -4.0, 1.2), (travel, 0, 0)), b.linear((0, 0, 0.95), (travel, 0, 0))
-    )
+    b.aim_camera(b.linear((0, -4.0, 1.2), (travel, 0, 0)), b.linear((0, 0, 0.95), (travel, 0, 0)))
     return scene
 
 

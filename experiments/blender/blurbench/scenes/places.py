@@ -33,7 +33,9 @@ def defocused_orbit() -> Any:
     drawn = random.Random(4)
     for index in range(40):
         color = [drawn.uniform(0.03, 0.7) for _ in range(3)]
-        skin = b.material(f"pillar {index}", color, [min(1, 2 * c + 0.1) for c in color], "checker", 4)
+        skin = b.material(
+            f"pillar {index}", color, [min(1, 2 * c + 0.1) for c in color], "checker", 4
+        )
         angle, reach = drawn.uniform(0, 2 * math.pi), drawn.uniform(2.5, 9)
         height = drawn.uniform(0.5, 2.6)
         place = (reach * math.cos(angle), reach * math.sin(angle), height / 2)
@@ -178,7 +180,9 @@ def _street(drawn: random.Random, rows: int) -> None:
         for row in range(rows):
             color = [drawn.uniform(0.12, 0.45) for _ in range(3)]
             tiles = drawn.uniform(7, 12)
-            walls = b.material(f"w {side} {row}", color, [1.8 * c for c in color], "brick", tiles, "UV")
+            walls = b.material(
+                f"w {side} {row}", color, [1.8 * c for c in color], "brick", tiles, "UV"
+            )
             height = drawn.uniform(4, 14)
             place = (side * drawn.uniform(7.2, 8.0), 6.2 * row + 1, height / 2)
             b.add(f"house {side} {row}", b.box(5, 5.6, height), walls, None, place)
