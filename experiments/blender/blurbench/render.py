@@ -110,14 +110,14 @@ def render_frames(scene: Any, options: argparse.Namespace, folder: Path) -> None
     reference.write_json(folder / "camera.json", description)
 
 
-def render_vector_blur(folder: Path, shutter: float) -> None:
+def render_vector_blur(folder: Path, options: argparse.Namespace) -> None:
     """Blur the sharp frame with Blender's Vector Blur node; the result is Composite.Combined."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     image = bpy.data.images.load(str(reference.outputs(folder, FRAME)["frame"]))
-    scene.render.resolution_x, scene.render.resolution_y = image.size
+    scene.render.resolution_x, scene.render.resolution_y = options.size
     scene.render.resolution_percentage = 100
     scene.render.image_settings.media_type = "MULTI_LAYER_IMAGE"
     scene.render.image_settings.color_depth = "16"
@@ -130,7 +130,7 @@ def render_vector_blur(folder: Path, shutter: float) -> None:
     source.image = image
     blur = tree.nodes.new("CompositorNodeVecBlur")
     blur.inputs["Samples"].default_value = VECTOR_BLUR_SAMPLES
-    blur.inputs["Shutter"].default_value = shutter
+    blur.inputs["Shutter"].default_value = options.shutter
     result = tree.nodes.new("NodeGroupOutput")
     for passed, socket in (("Combined", "Image"), ("Depth", "Z"), ("Vector", "Speed")):
         tree.links.new(source.outputs[passed], blur.inputs[socket])
@@ -157,7 +157,7 @@ def render_scene(name: str, options: argparse.Namespace) -> None:
             reference.set_common(overlay, scene, scene.view_layers[0], options)
             render_subframes(scene, options, folder)
     if options.overwrite or not (folder / f"vectorblur_{FRAME:04d}.exr").exists():
-        render_vector_blur(folder, options.shutter)
+        render_vector_blur(folder, options)
 
 
 def has_foreground(scene: Any) -> bool:

@@ -149,9 +149,7 @@ def main() -> None:
     parser = common.output_parser("Score methods on the scenes of BlurBench.")
     parser.add_argument("--frames", type=Path, required=True, metavar="DIR")
     parser.add_argument("--half", choices=(*HALVES, "both"), default="both")
-    parser.add_argument(
-        "--method", type=load_method, nargs="+", default=[], metavar="FILE.py:NAME"
-    )
+    parser.add_argument("--method", type=load_method, nargs="+", default=[], metavar="FILE.py:NAME")
     options = parser.parse_args()
     cases = [case for case in find_cases(options.frames) if options.half in (case.half, "both")]
     methods = METHODS | {method.__name__: method for method in options.method}
