@@ -35,7 +35,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Render the scenes of BlurBench.")
     parser.add_argument("--out", type=Path, required=True, help="folder; made if missing")
     parser.add_argument("--scenes", nargs="+", choices=split.SCENES, default=split.SCENES)
-    parser.add_argument("--samples", type=reference.parse_samples, default=48)
+    parser.add_argument("--samples", type=reference.parse_samples, default=32)
     parser.add_argument("--size", type=reference.parse_size, default=(640, 360))
     parser.add_argument("--preview", action="store_true", help="frame and truth, 8 samples")
     parser.add_argument("--without", nargs="+", choices=("subframes", "layers"), default=())
@@ -92,7 +92,7 @@ def render_layers(scene: Any, options: argparse.Namespace, folder: Path) -> None
 
 
 def render_frames(scene: Any, options: argparse.Namespace, folder: Path) -> None:
-    """Render frame, neighbors and truth, and describe them in camera.json."""
+    """Render frame, neighbors and truth; camera.json comes last and marks them as finished."""
     layer = scene.view_layers[0]
     with reference.Overlay() as overlay:
         reference.set_common(overlay, scene, layer, options)
@@ -102,6 +102,8 @@ def render_frames(scene: Any, options: argparse.Namespace, folder: Path) -> None
             reference.render_pixel_centers(scene, paths["gbuf"])
         scene.frame_set(FRAME)
         reference.render_truth(scene, layer, reference.outputs(folder, FRAME)["truth"], options)
+        if options.preview:
+            return
         description = reference.describe(scene, list(NEIGHBORS), options)
     times = subframe_times(FRAME, options.shutter, SUBFRAMES)
     names = [subframe_file(folder, FRAME, index).name for index in range(1, SUBFRAMES + 1)]
@@ -146,7 +148,7 @@ def render_scene(name: str, options: argparse.Namespace) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scene = BUILDERS[name]()
     set_sampling(scene, options.samples)
-    if options.overwrite or not (folder / "camera.json").exists():
+    if options.overwrite or options.preview or not (folder / "camera.json").exists():
         render_frames(scene, options, folder)
     if options.preview:
         return
