@@ -125,6 +125,13 @@ def test_the_leaderboard_has_the_best_method_first_and_no_mean_of_some_scenes(th
     assert table[0][3] == "" and table[3][3] == np.inf
 
 
+def test_the_length_of_blur_is_that_of_the_whole_shutter(three):
+    """Two pixels either way make four."""
+    name, half, *lengths = score.motion(three[0])
+    assert (name, half) == ("ground_pan", "training")
+    np.testing.assert_allclose(lengths, 4.0, rtol=1e-6)
+
+
 def test_alpha_is_not_scored(three):
     color = np.asarray(three[0].truth)
     with_alpha = np.concatenate([color, np.zeros((*SIZE, 1), np.float32)], -1)
@@ -144,7 +151,9 @@ def test_the_command_scores_a_function_of_a_file(three, tmp_path, monkeypatch, c
     written = (out / "psnr.md").read_text(encoding="utf-8")
     assert "ground_pan" in written and "crowd" not in written
     assert sorted(path.name for path in out.iterdir()) == [
-        f"{table}.{kind}" for table in ("flip", "leaderboard", "psnr") for kind in ("csv", "md")
+        f"{table}.{kind}"
+        for table in ("flip", "leaderboard", "motion", "psnr")
+        for kind in ("csv", "md")
     ]
 
 

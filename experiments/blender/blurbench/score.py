@@ -4,8 +4,8 @@
 
 DIR holds scenes as `blurbench.render` writes them. NAME is a function that takes a `Case` and
 returns an (H, W, C) image in linear light, or None where it lacks what it needs. Writes and prints
-``leaderboard``, ``psnr`` and ``flip`` as CSV and Markdown: PSNR in dB and FLIP of display values
-over the whole frame.
+as CSV and Markdown ``leaderboard``, ``psnr`` and ``flip``, PSNR in dB and FLIP of display values
+over the whole frame, and ``motion``, the lengths of blur in each scene.
 """
 
 import argparse
@@ -135,6 +135,22 @@ def by_scene(scores: Scores, cases: Sequence[Case], metric: str) -> list[list[An
     return rows
 
 
+def motion(case: Case) -> list[Any]:
+    """How long the blur of a scene is.
+
+    Args:
+        case: the scene.
+
+    Returns:
+        Scene, half, then mean, 90th and 99th percentile of the path length within the shutter, px.
+    """
+    frame = case.frame
+    path = np.asarray(frame.velocity)[..., None, :] if frame.path is None else frame.path
+    ends = np.linalg.norm(path, axis=-1)
+    length = ends.sum(-1) * (2 / ends.shape[-1])
+    return [case.name, case.half, *map(float, (length.mean(), *np.percentile(length, (90, 99))))]
+
+
 def _mean(
     of_method: Mapping[str, metrics.Scores | None], names: Sequence[str], metric: str
 ) -> float | str:
@@ -157,6 +173,8 @@ def main() -> None:
     for metric in ("psnr", "flip"):
         rows = by_scene(scores, cases, metric)
         common.write_table(options.output, metric, ["scene", "half", *methods], rows)
+    columns = ["scene", "half", "mean, px", "90 %, px", "99 %, px"]
+    common.write_table(options.output, "motion", columns, [motion(case) for case in cases])
     columns = [f"{half} {metric}" for half in HALVES for metric in ("PSNR, dB", "FLIP")]
     rows = leaderboard(scores, cases)
     common.write_table(options.output, "leaderboard", ["method", *columns], rows)
