@@ -156,30 +156,17 @@ def _facing_spin(per_frame: float) -> b.Motion:
     return lambda time: (math.pi / 2, per_frame * (time - b.MIDDLE), 0.0)
 
 
-def _wheel(name: str, skin: Any, radius: float, spokes: int, **place: Any) -> Any:
-    """A wheel in the plane of x and z, turned by its rotation about y."""
-    hub = b.add(name, None, **place)
-    rim = b.add(f"{name} rim", b.ring(radius, 0.06 * radius + 0.02), skin, hub, **_lying(place))
-    rim.rotation_euler = (0, 0, 0)
-    b.add(f"{name} hub", b.cylinder(0.12 * radius, 0.2), skin, hub, **_lying(place))
+def _wheel(name: str, skin: Any, radius: float, spokes: int) -> Any:
+    """A wheel about the z axis of an empty object, its hub."""
+    hub = b.add(name, None)
+    b.add(f"{name} rim", b.ring(radius, 0.06 * radius + 0.02), skin, hub)
+    b.add(f"{name} hub", b.cylinder(0.12 * radius, 0.2), skin, hub)
+    spoke = b.cylinder(0.03 * radius, radius, segments=10)
     for index in range(spokes):
         angle = 2 * math.pi * index / spokes
         middle = (0.5 * radius * math.cos(angle), 0.5 * radius * math.sin(angle), 0)
-        spoke = b.cylinder(0.03 * radius, radius, segments=10)
-        b.add(
-            f"{name} spoke {index:02d}",
-            spoke,
-            skin,
-            hub,
-            middle,
-            (0, math.pi / 2, angle),
-            **_lying(place),
-        )
+        b.add(f"{name} spoke {index:02d}", spoke, skin, hub, middle, (0, math.pi / 2, angle))
     return hub
-
-
-def _lying(place: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in place.items() if key == "foreground"}
 
 
 def _gear(teeth: int, module: float) -> Any:
