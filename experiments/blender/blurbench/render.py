@@ -65,7 +65,10 @@ def render_at(scene: Any, moment: float, path: Path) -> None:
 
 
 def render_subframes(scene: Any, options: argparse.Namespace, folder: Path) -> None:
-    """Render the scene at the middles of the equal parts of the shutter."""
+    """Render the scene at the middles of the equal parts of the shutter, each with half the samples.
+
+    Their mean then has the noise of twice the samples.
+    """
     for index, moment in enumerate(subframe_times(FRAME, options.shutter, SUBFRAMES), 1):
         path = subframe_file(folder, FRAME, index)
         if options.overwrite or not path.exists():
@@ -157,6 +160,7 @@ def render_scene(name: str, options: argparse.Namespace) -> None:
     if "subframes" not in options.without:
         with reference.Overlay() as overlay:
             reference.set_common(overlay, scene, scene.view_layers[0], options)
+            overlay.set(scene.cycles, samples=(options.samples + 1) // 2)
             render_subframes(scene, options, folder)
     if options.overwrite or not (folder / f"vectorblur_{FRAME:04d}.exr").exists():
         render_vector_blur(folder, options)

@@ -90,20 +90,20 @@ def sun(
     # The hue alone: the brightest channel of the light stays as it is.
     light.color = [channel / max(tint) for channel in tint]
     light.angle = math.radians(angle)
-    lamp = bpy.data.objects.new("Sun", light)
-    lamp.rotation_euler = mathutils.Vector(direction).to_track_quat("-Z", "Y").to_euler()
-    bpy.context.scene.collection.objects.link(lamp)
+    thing = bpy.data.objects.new("Sun", light)
+    thing.rotation_euler = mathutils.Vector(direction).to_track_quat("-Z", "Y").to_euler()
+    bpy.context.scene.collection.objects.link(thing)
 
 
 def lamp(position: Vector, target: Vector, size: float, power: float) -> None:
     """A square lamp of ``size`` meters and ``power`` watts that faces a point."""
     light = bpy.data.lights.new("Lamp", "AREA")
     light.energy, light.size = power, size
-    lamp = bpy.data.objects.new("Lamp", light)
-    lamp.location = position
-    lamp.rotation_euler = _facing(position, target)
-    lamp.visible_glossy = lamp.visible_transmission = False
-    bpy.context.scene.collection.objects.link(lamp)
+    thing = bpy.data.objects.new("Lamp", light)
+    thing.location = position
+    thing.rotation_euler = _facing(position, target)
+    thing.visible_glossy = thing.visible_transmission = False
+    bpy.context.scene.collection.objects.link(thing)
 
 
 def aim_camera(position: Motion, target: Motion, roll: Callable[[float], float] = lambda t: 0.0):
