@@ -65,7 +65,7 @@ def render_at(scene: Any, moment: float, path: Path) -> None:
 
 
 def render_subframes(scene: Any, options: argparse.Namespace, folder: Path) -> None:
-    """Render the scene at the middles of the equal parts of the shutter, each with half the samples.
+    """Render the scene at the middles of the equal parts of the shutter, with half the samples.
 
     Their mean then has the noise of twice the samples.
     """
