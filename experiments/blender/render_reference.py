@@ -257,19 +257,29 @@ def render_to(scene: Any, path: Path) -> None:
     os.replace(hidden, path)
 
 
+def render_pixel_centers(scene: Any, path: Path) -> None:
+    """Render the passes of the current frame at the pixel centers."""
+    with Overlay() as overlay:
+        set_pixel_centers(overlay, scene)
+        render_to(scene, path)
+
+
+def render_truth(scene: Any, layer: Any, path: Path, options: argparse.Namespace) -> None:
+    """Render the current frame with motion blur, without the passes that Cycles then lacks."""
+    with Overlay() as overlay:
+        overlay.set(layer, use_pass_z=False, use_pass_vector=False, use_pass_object_index=False)
+        set_motion_blur(overlay, scene, options)
+        render_to(scene, path)
+    scene.render.motion_blur_shutter_curve.update()
+
+
 def render_frame(scene: Any, layer: Any, frame: int, options: argparse.Namespace) -> None:
     """Render the sharp frame, the pixel centers and the truth of one frame."""
     paths = outputs(options.out, frame)
     scene.frame_set(frame)
     render_to(scene, paths["frame"])
-    with Overlay() as overlay:
-        set_pixel_centers(overlay, scene)
-        render_to(scene, paths["gbuf"])
-    with Overlay() as overlay:
-        overlay.set(layer, use_pass_z=False, use_pass_vector=False, use_pass_object_index=False)
-        set_motion_blur(overlay, scene, options)
-        render_to(scene, paths["truth"])
-    scene.render.motion_blur_shutter_curve.update()
+    render_pixel_centers(scene, paths["gbuf"])
+    render_truth(scene, layer, paths["truth"], options)
 
 
 def camera_matrices(scene: Any, time: float) -> dict[str, list[list[float]]]:
