@@ -179,6 +179,48 @@ def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
     np.testing.assert_array_equal(y, np.where(np.arange(8) < 4, 6, 0) * np.ones((8, 1)))
 
 
+ELEMENTS = {
+    "disc": (lambda x, y: np.hypot(x - 32.3, y - 24.4) < 9.2, (7.3, 3.1)),
+    "hair": (
+        lambda x, y: np.any([abs(y - (k + 0.21 * x)) < 0.35 for k in range(-9, 48, 7)], axis=0),
+        (2.2, 8.3),
+    ),
+    "fence": (
+        lambda x, y: (np.mod(x - 1.3, 9.0) < 1.6) & (abs(y - 24) < 17.8) & (abs(x - 32) < 22),
+        (6.4, 0.7),
+    ),
+}
+
+
+def coverage(shape, right=0.0, down=0.0):
+    """Share of each pixel that a shape covers which has moved."""
+    y, x = np.mgrid[:48, :64].astype(float)
+    inside = (np.arange(8) + 0.5) / 8 - 0.5
+    parts = [shape(x + a - right, y + b - down) for a in inside for b in inside]
+    return np.mean(parts, axis=0)
+
+
+@pytest.mark.parametrize(("samples", "most"), [(35, 0.08), (105, 0.05)])
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_an_element_with_alpha_blurs_without_a_frozen_outline(name, samples, most):
+    shape, velocity = ELEMENTS[name]
+    y, x = np.mgrid[:48, :64].astype(float)
+    alpha, covered = coverage(shape), shape(x, y)
+    color = alpha[..., None] * np.array([0.8, 0.3, 0.5, 1.0])
+    depth = np.where(covered, 3.0, np.inf)
+    motion = np.where(covered[..., None], velocity, 0.0)
+    frame = jaxblur.Frame(*(jnp.asarray(a, jnp.float32) for a in (color, depth, motion)))
+    settings = filter_info("layered").make_settings(samples=samples)
+    blurred = np.asarray(jaxblur.layered(frame, PARAMETERS, settings=settings))
+    times = (np.arange(64) + 0.5) / 32 - 1
+    truth = np.mean([coverage(shape, *(t * np.array(velocity))) for t in times], axis=0)
+    # What comes in over the border of the frame is unknown.
+    inner = np.s_[12:-12, 8:-8]
+    error = np.abs(blurred[..., 3] - truth)[inner]
+    assert error.max() < most
+    np.testing.assert_allclose(blurred[..., 0], 0.8 * blurred[..., 3], atol=1e-5)
+
+
 @pytest.mark.parametrize("unknown", [np.s_[0, 0], np.s_[-1, -1], np.s_[:20]])
 def test_vectors_that_are_nan_do_not_leave_the_frame_sharp(unknown):
     generator = np.random.default_rng(0)
