@@ -233,13 +233,14 @@ class FrameWork:
         if differs := stages.mismatch(loaded, neighbor):
             LOG.warning("blurred without frame %d: %s %s.", number, neighbor.path, differs)
             return None
-        pair = (neighbor.buffers, loaded.buffers)
-        if is_cut(*(pair if number < frame else pair[::-1]), self.arguments.shutter):
-            first, second = sorted((number, frame))
+        first, second = neighbor.buffers, loaded.buffers
+        if number > frame:
+            first, second = second, first
+        if is_cut(first, second, self.arguments.shutter):
             LOG.info(
                 "frames %d and %d do not see each other: what they show differs too much, as at a "
                 "cut",
-                *(first, second),
+                *sorted((number, frame)),
             )
             return None
         return neighbor
