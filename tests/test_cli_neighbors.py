@@ -1,6 +1,7 @@
 """``jaxblur blur`` with frames before and after, and with renders inside the exposure."""
 
 import inspect
+import json
 import os
 import shutil
 
@@ -13,6 +14,8 @@ from jaxblur import exr
 from jaxblur.filters.registry import filter_info, names
 from tests.command_line import refused, run
 from tests.exr_files import write_single
+
+pytestmark = pytest.mark.slow
 
 SIZE = (20, 36)
 SETTINGS = jaxblur.Settings(samples=9, radius=16, fetch="bilinear")
@@ -191,8 +194,12 @@ def test_filters_without_neighbors_work_as_before(shot):
 def test_no_frame_sees_across_a_cut(shot):
     path, command = shot
     write_frames(path, (3, 4), shift=11)
-    outcome = run(*command)
+    plan = json.loads(run(*command, "--dry-run", "--json").out)["frames"]
+    assert [frame["neighbors"] for frame in plan] == [[2], [1, 3], [2, 4], [3]]
+    outcome = run(*command, "--json")
     assert outcome.status == 0
+    done = json.loads(outcome.out)["frames"]
+    assert [frame["neighbors"] for frame in done] == [[2], [1], [4], [3]]
     assert outcome.err.count("frames 2 and 3 do not see each other") == 1
     check(path, 2, 1)
     check(path, 3, 4)
@@ -260,7 +267,6 @@ def test_a_neighbor_that_changes_meanwhile_is_an_error(shot, monkeypatch):
     assert outcome.status == 1 and "in.0003.exr: changed while it was being used" in outcome.err
 
 
-@pytest.mark.slow
 def test_a_cluster_gives_the_same(shot):
     pytest.importorskip("distributed", reason="comes with jaxblur[dask]")
     path, command = shot
@@ -307,7 +313,6 @@ def test_subframes_of_a_filter_without_neighbors(shot):
     np.testing.assert_allclose(mean, (alone[0] + alone[1]) / 2, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_the_derivative_reaches_every_subframe(shot):
     path, _ = shot
     frames = [jaxblur.read_frame(path / f"in.000{n}.exr", shutter=0.25) for n in (1, 2)]

@@ -272,10 +272,12 @@ class FrameWork:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}
             scored = stages.scores_of(images, loaded)
+        sides = {"before": job.frame - 1, "after": job.frame + 1}
+        used = loaded.neighbors if stages.NEIGHBORS in notes else ()
         return {
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,
-            "neighbors": notes.get(stages.NEIGHBORS, ""),
+            "neighbors": [sides[side] for side in used],
             "scores": {name: score._asdict() for name, score in scored.items()},
         }
 
@@ -566,6 +568,7 @@ def _record(job: Any) -> dict[str, Any]:
         "reason": job.reason,
         "outputs": [str(path) for path in job.outputs],
         "mean_speed": job.mean_speed,
+        "neighbors": list(job.neighbors),
     }
 
 
