@@ -8,7 +8,7 @@ from . import (
     show as show,
     vectors as vectors,
 )
-from .batch import blur_batch as blur_batch
+from .batch import blur_batch as blur_batch, blur_subframes as blur_subframes
 from .camera import (
     Intrinsics as Intrinsics,
     camera_path as camera_path,

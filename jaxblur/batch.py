@@ -1,4 +1,4 @@
-"""`blur_batch`: a filter over a leading axis of frames, in chunks of bounded memory."""
+"""A filter over several frames: `blur_batch` for each of them, `blur_subframes` for their mean."""
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
@@ -71,6 +71,53 @@ def blur_batch(
         )
 
     return blur(frames, noise) if isinstance(frames, Frame) else _by_kind(blur, frames, noise)
+
+
+def blur_subframes(
+    filter: str | Callable[..., Any],
+    frames: Frame | Sequence[Frame],
+    parameters: Any = None,
+    *,
+    settings: Settings | None = None,
+    noise: Noise | None = None,
+) -> Float[Array, "height width channels"]:
+    """Blur K sharp frames from inside one exposure, and take the mean.
+
+    Frame k is the image at the center of the k-th of K equal parts of the exposure, with the motion
+    during this part: with vectors in pixels per frame, ``read_frame(path, shutter=shutter / K)``.
+    The more frames, the less each has to guess. A filter that takes neighbors sees the sub-frames
+    before and after. Time and memory are those of K frames.
+
+    Args:
+        filter: the name of a registered filter, or its function.
+        frames: the frames in the order of time: a sequence of frames of one size, or a `Frame`
+            whose buffers have a leading axis of K frames.
+        parameters: of the filter; its defaults if None.
+        settings: of the filter, for each sub-frame; its defaults if None.
+        noise: replaces the built-in noise; of one frame, used for all.
+
+    Returns:
+        (H, W, C): the mean of the results. Differentiable as the filter is.
+
+    Raises:
+        ValueError: an argument is wrong, or shapes disagree.
+    """
+    info = filter_info(filter)
+    if isinstance(frames, Frame):
+        _check_batch(frames, None, 1)
+        stacked = frames
+        parts = [jax.tree.map(lambda b, k=k: b[k], stacked) for k in range(len(stacked.color))]
+    else:
+        _check_sequence(frames, None)
+        parts = list(frames)
+    call: Any = info.call
+    options = {"settings": _settings(info, settings), "noise": noise}
+    parameters = info.checked_parameters(parameters)
+    images = []
+    for before, part, after in zip([None, *parts], parts, [*parts[1:], None], strict=False):
+        near = {"before": before, "after": after, "shutter": 1.0} if info.takes_neighbors else {}
+        images.append(call(part, parameters, **options, **near))
+    return sum(images[1:], images[0]) / len(images)
 
 
 def _settings(info: FilterInfo, settings: Settings | None) -> Settings:

@@ -1,6 +1,7 @@
 """``jaxblur blur``: sharp frames in, blurred frames out."""
 
 import argparse
+import dataclasses
 import logging
 import pathlib
 import re
@@ -31,7 +32,10 @@ from .filtering import (
     complete,
     describe_filters,
     report_ignored,
+    require_neighbors,
+    takes_neighbors,
 )
+from .progress import remarks_once
 from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
@@ -70,6 +74,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     results.add_option(parser)
+    _add_neighbor_options(parser)
     _add_color_options(parser)
     add_compute_options(parser)
     group = add_filter_options(parser)
@@ -90,6 +95,27 @@ def add_parser(commands: Any) -> None:
     )
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
+
+
+def _add_neighbor_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "more renders, for a single frame (a sequence uses its frames by itself)"
+    )
+    for side in ("before", "after"):
+        group.add_argument(
+            f"--{side}",
+            type=file_path,
+            metavar="FILE",
+            help=f"the frame {side}, which shows some of what the frame hides; read by the same "
+            "options",
+        )
+    group.add_argument(
+        "--subframes",
+        type=file_path,
+        metavar="NAMES",
+        help="sub.####.exr: K sharp renders at the centers of K equal parts of the exposure, each "
+        "blurred over its part, and their mean; the frame gives the other channels",
+    )
 
 
 def _add_color_options(parser: argparse.ArgumentParser) -> None:
@@ -158,6 +184,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     if arguments.seed == "frame":
         arguments.seed = _number_in(arguments.input)
     outputs = _outputs(arguments)
+    _check_neighbors(arguments, asked)
     for source in _sources(arguments):
         exr.inspect(source)
         for output in outputs:
@@ -165,16 +192,20 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     stages.warn_of_double_blur(arguments)
     check_outputs(outputs, arguments.overwrite)
     started = time.perf_counter()
-    loaded = stages.load(arguments, asked.settings)
+    with remarks_once():
+        loaded = _load(arguments, asked)
+        parts = _load_subframes(arguments, asked, loaded)
     read = time.perf_counter()
 
     start_jax(not arguments.no_compile_cache)
-    chosen = stages.choose(arguments, asked, loaded)
-    blurred = stages.blur(chosen, loaded, arguments.seed)
+    chosen, blurred = _blur(arguments, asked, parts or [loaded])
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: blurred}
     scored = stages.scores_of(images, loaded)
-    provenance = stages.provenance(arguments, chosen, loaded.buffers)
+    provenance = stages.provenance(arguments, chosen, loaded)
+    if parts:
+        names = ", ".join(path.name for path in _subframe_files(arguments))
+        provenance = {**provenance, stages.SUBFRAMES: names}
     stages.write(arguments, outputs, blurred, provenance, loaded)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in outputs:
@@ -188,6 +219,93 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
         shot = results.make_shot(name, loaded, blurred, chosen.name, settings, sources)
         results.write(arguments, [shot])
     return 0
+
+
+def _load(arguments: argparse.Namespace, asked: stages.Choice) -> stages.Loaded:
+    """Read the frame, and its neighbors by the same options."""
+    loaded = stages.load(arguments, asked.settings)
+    neighbors = {
+        side: stages.read(argparse.Namespace(**vars(arguments) | {"input": path}))
+        for side in ("before", "after")
+        if (path := getattr(arguments, side)) is not None
+    }
+    for side, source in neighbors.items():
+        if differs := stages.mismatch(loaded, source):
+            raise CommandError(f"--{side}: {source.path} {differs}; render both alike.")
+    return loaded.with_neighbors(neighbors)
+
+
+def _load_subframes(
+    arguments: argparse.Namespace, asked: stages.Choice, loaded: stages.Loaded
+) -> list[stages.Loaded]:
+    """Read the sub-frames, each with the motion of its part of the exposure and its neighbors."""
+    files = _subframe_files(arguments)
+    shutter = arguments.shutter / max(len(files), 1)
+    changes = {"shutter": shutter, "truth": None}
+    parts = [argparse.Namespace(**vars(arguments) | changes | {"input": path}) for path in files]
+    sources = [stages.read(part) for part in parts]
+    for source in sources:
+        if differs := stages.mismatch(loaded, source):
+            raise CommandError(f"--subframes: {source.path} {differs}; render all alike.")
+    frames = []
+    for index, (part, source) in enumerate(zip(parts, sources, strict=True)):
+        near = {
+            "before": sources[max(index - 1, 0) : index],
+            "after": sources[index + 1 : index + 2],
+        }
+        found = {side: one[0] for side, one in near.items() if one}
+        frame = stages.load(part, asked.settings, source).with_neighbors(found)
+        # From one sub-frame to the next it takes as long as its part of the exposure.
+        frames.append(dataclasses.replace(frame, shutter=1.0))
+    return frames
+
+
+def _subframe_files(arguments: argparse.Namespace) -> list[pathlib.Path]:
+    """The sub-frames on disk in the order of their numbers; none without the option."""
+    from jaxblur.sequence import parse_names
+
+    if arguments.subframes is None:
+        return []
+    names = parse_names(arguments.subframes)
+    return [names.path(number) for number in names.frames_on_disk()]
+
+
+def _blur(
+    arguments: argparse.Namespace, asked: stages.Choice, parts: list[stages.Loaded]
+) -> tuple[stages.Choice, Any]:
+    """Blur the parts of the exposure, or the one frame of all of it, and take the mean."""
+    fastest = max(parts, key=lambda part: part.speeds.suggested_radius)
+    chosen = stages.choose(arguments, asked, fastest)
+    if parts[0].neighbors and not takes_neighbors(chosen.name) and not arguments.subframes:
+        LOG.warning("%s takes no neighbors: --before and --after are not used.", chosen.name)
+    total = stages.blur(chosen, parts[0], arguments.seed)
+    for part in parts[1:]:
+        total = total + stages.blur(chosen, part, arguments.seed)
+    return chosen, total / len(parts) if len(parts) > 1 else total
+
+
+def _check_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> None:
+    """Reject neighbors and sub-frames that cannot be used, before any work."""
+    sides = [side for side in ("before", "after") if getattr(arguments, side) is not None]
+    more = [*sides, *(["subframes"] if arguments.subframes is not None else [])]
+    if not more:
+        return
+    if arguments.shutter == 0:
+        raise CommandError(f"--{more[0]}: --shutter 0 blurs nothing; leave out one of the two.")
+    for option in ("velocity_from", "depth_from"):
+        if getattr(arguments, option) is not None:
+            raise CommandError(
+                f"--{more[0]}: such frames bring their own vectors and depth; leave out "
+                f"--{option.replace('_', '-')}, or give the frames as a sequence: name.####.exr."
+            )
+    if sides and arguments.subframes is not None:
+        raise CommandError(
+            f"--{sides[0]}: sub-frames are neighbors of each other; leave out one of the two."
+        )
+    if sides and arguments.plan is None:
+        require_neighbors(asked.name, f"--{sides[0]}")
+    if arguments.subframes is not None and not _subframe_files(arguments):
+        raise CommandError(f"--subframes: {arguments.subframes}: no such files.")
 
 
 def _number_in(path: pathlib.Path) -> int:
@@ -246,4 +364,5 @@ def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
     files = (arguments.input, arguments.velocity_from, arguments.depth_from, arguments.truth)
-    return [path for path in files if path is not None]
+    more = (arguments.before, arguments.after, *_subframe_files(arguments))
+    return [path for path in (*files, *more) if path is not None]

@@ -299,6 +299,7 @@ def apply_filter(
     parameters: Mapping[str, float],
     settings: Settings,
     seed: int | None = None,
+    neighbors: Mapping[str, Any] | None = None,
 ) -> Any:
     """Run a filter.
 
@@ -308,6 +309,8 @@ def apply_filter(
         parameters: by name; the others take their defaults.
         settings: how to run it; plain `Settings` will do for any filter.
         seed: moves the built-in noise; None leaves it where it is.
+        neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
+            each a `jaxblur.Frame`, and ``shutter``.
 
     Returns:
         (H, W, C) NumPy array.
@@ -325,7 +328,30 @@ def apply_filter(
         height, width = frame.depth.shape
         noise = make_noise(settings.noise, height, width, seed)
     values = info.make_parameters(**parameters)
-    return np.asarray(info.call(frame, values, settings=settings, noise=noise))
+    call: Any = info.call
+    return np.asarray(call(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+
+
+def takes_neighbors(name: str) -> bool:
+    """Whether a registered filter takes the frames before and after."""
+    return filter_info(name).takes_neighbors
+
+
+def require_neighbors(name: str, option: str) -> None:
+    """Reject an option that gives neighbors to a filter that takes none.
+
+    Args:
+        name: of a registered filter.
+        option: as on the command line.
+
+    Raises:
+        CommandError: the filter takes none; the message names those that do.
+    """
+    if not takes_neighbors(name):
+        able = " or ".join(filter(takes_neighbors, names()))
+        raise CommandError(
+            f"{option}: {name} takes no neighbor frames; leave it out, or pass --filter {able}."
+        )
 
 
 def _radius(text: str) -> int | None:

@@ -63,6 +63,32 @@ def frame_messages() -> Iterator[None]:
         LOG.removeFilter(messages)
 
 
+class _Once(logging.Filter):
+    """Passes a remark that repeats once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to pass a record."""
+        text = record.getMessage()
+        repeats = record.levelno == logging.INFO and text in self._said
+        self._said.add(text)
+        return not repeats
+
+
+@contextlib.contextmanager
+def remarks_once() -> Iterator[None]:
+    """Pass remarks that several files have in common once."""
+    once = _Once()
+    LOG.addFilter(once)
+    try:
+        yield
+    finally:
+        LOG.removeFilter(once)
+
+
 @contextlib.contextmanager
 def progress(total: int) -> Iterator[Any]:
     """Show progress over a number of frames.

@@ -4,6 +4,7 @@ import argparse
 import collections
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import logging
@@ -20,7 +21,7 @@ from .arguments import CommandError, frame_numbers, in_option_names, positive_in
 from .compute import start_jax
 from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
-from .filtering import find_filter
+from .filtering import find_filter, takes_neighbors
 from .progress import about_frame, frame_messages, progress
 from .recognition import settle_convention
 
@@ -48,6 +49,8 @@ NOT_A_CHOICE = frozenset(
             "fps",
             "require_motion",
         ),
+        # Neighbors count by whether they are used; the others are for single frames.
+        *("neighbors", "before", "after", "subframes"),
     }
 )
 
@@ -79,6 +82,12 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         default=[],
         metavar="A,B",
         help="pass these frames through unblurred: at a camera cut vectors mean nothing",
+    )
+    group.add_argument(
+        "--neighbors",
+        choices=("auto", "off"),
+        help="auto (the default): a filter that takes them, as layered does, sees the frames "
+        "before and after, if they exist and no cut lies between; off: each frame alone",
     )
     group.add_argument(
         "--allow-resize",
@@ -114,7 +123,8 @@ def refuse_options(arguments: argparse.Namespace) -> None:
     Raises:
         CommandError: one is given.
     """
-    for name in ("cut", "dry_run", "json", "skip_existing", "scheduler", "workers"):
+    options = ("cut", "dry_run", "json", "skip_existing", "scheduler", "workers", "neighbors")
+    for name in options:
         if getattr(arguments, name):
             raise CommandError(
                 f"--{name.replace('_', '-')}: is for sequences; write the input as name.####.exr."
@@ -144,15 +154,23 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
         arguments.seed = "frame"
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
+    for name in ("before", "after", "subframes"):
+        if getattr(arguments, name):
+            also = "" if name == "subframes" else ", which finds its neighbors by itself"
+            raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
     sources, outputs = _names(arguments)
     frames = arguments.frames or frames_on_disk(sources["input"])
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
     settle_convention(arguments, sources)
-    choices = _choices(arguments, asked)
+    neighbors = _uses_neighbors(arguments, asked)
+    choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
     plan = plan_jobs(
-        frames, sources, outputs, choices, overwrite=arguments.overwrite, cuts=arguments.cut
+        *(frames, sources, outputs, choices),
+        overwrite=arguments.overwrite,
+        cuts=arguments.cut,
+        neighbors=neighbors,
     )
     if arguments.dry_run:
         return _print_plan(plan, arguments.json)
@@ -168,17 +186,64 @@ class FrameWork:
         arguments: of the command.
         asked: filter, parameters and settings from the options.
         devices: free devices, or None for JAX's default device.
+        shared: frames that were read and are needed again, a `jaxblur.sequence.Shared`, or None
+            where frames are blurred by several processes.
     """
 
     arguments: argparse.Namespace
     asked: stages.Choice
     devices: queue.SimpleQueue[Any] | None = None
+    shared: Any = None
 
     def read(self, job: Any, _: None) -> stages.Loaded:
-        """Read a frame and its truth."""
+        """Read a frame, its truth and its neighbors."""
+        from jaxblur.sequence import Shared
+
         with about_frame(job.frame):
             stages.warn_of_double_blur(self._at(job))
-            return stages.load(self._at(job), self.asked.settings)
+        numbers = (job.frame, *job.neighbors)
+        shared = self.shared or Shared(numbers)
+        own, *others = shared.take(numbers, functools.partial(self._read_source, job))
+        with about_frame(job.frame):
+            loaded = stages.load(self._at(job), self.asked.settings, own.result())
+            neighbors = {
+                "before" if number < job.frame else "after": neighbor
+                for number, source in zip(job.neighbors, others, strict=True)
+                if (neighbor := self._seen(job.frame, loaded, number, source)) is not None
+            }
+            return loaded.with_neighbors(neighbors)
+
+    def _read_source(self, job: Any, number: int) -> stages.Source:
+        """Read a frame or its neighbor."""
+        with about_frame(number):
+            return stages.read(self._at(job, number))
+
+    def _seen(
+        self, frame: int, loaded: stages.Loaded, number: int, source: Any
+    ) -> stages.Source | None:
+        """A neighbor if the frame may see it, or None with a message."""
+        from jaxblur.exr import JaxblurIOError
+        from jaxblur.sequence import is_cut
+
+        try:
+            neighbor = source.result()
+        except JaxblurIOError as error:
+            LOG.warning("blurred without frame %d: %s", number, error)
+            return None
+        if differs := stages.mismatch(loaded, neighbor):
+            LOG.warning("blurred without frame %d: %s %s.", number, neighbor.path, differs)
+            return None
+        first, second = neighbor.buffers, loaded.buffers
+        if number > frame:
+            first, second = second, first
+        if is_cut(first, second, self.arguments.shutter):
+            LOG.info(
+                "frames %d and %d do not see each other: what they show differs too much, as at a "
+                "cut",
+                *sorted((number, frame)),
+            )
+            return None
+        return neighbor
 
     def blur(self, job: Any, loaded: stages.Loaded) -> tuple[stages.Loaded, stages.Choice, Any]:
         """Blur a frame, or pass it through."""
@@ -191,7 +256,8 @@ class FrameWork:
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
-                return loaded, chosen, stages.blur(chosen, loaded, self._at(job).seed)
+                blurred = stages.blur(chosen, loaded, self._at(job).seed)
+            return loaded.without_neighbor_pixels(), chosen, blurred
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
         """Write a frame, and score it; returns the entries of the report."""
@@ -199,16 +265,19 @@ class FrameWork:
 
         loaded, chosen, image = made
         with about_frame(job.frame):
-            notes = stages.provenance(self._at(job), chosen, loaded.buffers) | job.marks
+            notes = stages.provenance(self._at(job), chosen, loaded) | job.marks
             notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
             stages.write(self._at(job), job.outputs, image, notes, loaded)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": image}
             scored = stages.scores_of(images, loaded)
+        sides = {"before": job.frame - 1, "after": job.frame + 1}
+        used = loaded.neighbors if stages.NEIGHBORS in notes else ()
         return {
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,
+            "neighbors": [sides[side] for side in used],
             "scores": {name: score._asdict() for name, score in scored.items()},
         }
 
@@ -237,8 +306,10 @@ class FrameWork:
         finally:
             self.devices.put(device)
 
-    def _at(self, job: Any) -> argparse.Namespace:
-        here: dict[str, Any] = {role: job.inputs.get(role) for role in _ROLES}
+    def _at(self, job: Any, number: int | None = None) -> argparse.Namespace:
+        """The arguments for the frame of a job, or for one of its neighbors."""
+        inputs = job.neighbors.get(number, job.inputs)
+        here: dict[str, Any] = {role: inputs.get(role) for role in _ROLES}
         if self.arguments.seed == "frame":
             here["seed"] = job.frame
         return argparse.Namespace(**vars(self.arguments) | here)
@@ -370,7 +441,7 @@ class _Run:
 
 
 def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[Any]) -> Any:
-    from jaxblur.sequence import run_cluster, run_pipeline
+    from jaxblur.sequence import Shared, run_cluster, run_pipeline
 
     if arguments.scheduler:
         work = FrameWork(arguments, asked).stages()
@@ -382,7 +453,15 @@ def _outcomes(arguments: argparse.Namespace, asked: stages.Choice, todo: list[An
     devices: queue.SimpleQueue[Any] = queue.SimpleQueue()
     for device in jax.local_devices():
         devices.put(device)
-    return run_pipeline(todo, FrameWork(arguments, asked, devices).stages())
+    shared = Shared(number for job in todo for number in (job.frame, *job.neighbors))
+    return run_pipeline(todo, FrameWork(arguments, asked, devices, shared).stages())
+
+
+def _uses_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> bool:
+    """Whether frames may see their neighbors; a plan may choose a filter that takes them."""
+    if arguments.neighbors == "off" or arguments.shutter == 0:
+        return False
+    return arguments.plan is not None or takes_neighbors(asked.name)
 
 
 def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
@@ -489,6 +568,7 @@ def _record(job: Any) -> dict[str, Any]:
         "reason": job.reason,
         "outputs": [str(path) for path in job.outputs],
         "mean_speed": job.mean_speed,
+        "neighbors": list(job.neighbors),
     }
 
 

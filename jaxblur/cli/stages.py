@@ -5,14 +5,14 @@ import dataclasses
 import logging
 import pathlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jaxblur
 from jaxblur.settings import Settings
 
 from . import sources
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
-from .filtering import apply_filter
+from .filtering import apply_filter, takes_neighbors
 
 LOG = logging.getLogger("jaxblur")
 
@@ -28,6 +28,10 @@ PASSED_THROUGH = "none"
 """In the place of the filter's name for a frame that was not blurred."""
 BLURRED = "jaxblur:blurred"
 """Header attribute: the color channels that were blurred, by this and by earlier runs."""
+NEIGHBORS = "jaxblur:neighbors"
+"""Header attribute: the frames before and after that a frame was blurred with."""
+SUBFRAMES = "jaxblur:subframes"
+"""Header attribute: the renders inside the exposure whose blur was averaged."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +49,20 @@ class Choice:
     settings: Settings
 
 
+class Source(NamedTuple):
+    """The files of a frame as they were read, without a truth.
+
+    Attributes:
+        path: the file with the color.
+        buffers: as `jaxblur.exr.read_buffers` gives them.
+        states: a `jaxblur.exr.FileStates` of the files, from before they were read.
+    """
+
+    path: pathlib.Path
+    buffers: Any
+    states: Any
+
+
 @dataclasses.dataclass(frozen=True)
 class Loaded:
     """A frame as it was read.
@@ -56,6 +74,8 @@ class Loaded:
         speeds: a `jaxblur.vectors.SpeedStatistics`.
         mean_speed: mean half-spread in pixels.
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
+        neighbors: the frames ``before`` and ``after``, as far as they are used.
+        shutter: exposure, in units of the time from one neighbor to the frame.
     """
 
     buffers: Any
@@ -64,6 +84,19 @@ class Loaded:
     speeds: Any
     mean_speed: float
     states: Any
+    neighbors: Mapping[str, Source] = dataclasses.field(default_factory=dict)
+    shutter: float = 0.5
+
+    def with_neighbors(self, neighbors: Mapping[str, Source]) -> "Loaded":
+        """The frame with neighbors, whose files must not change either."""
+        states = (self.states, *(source.states for source in neighbors.values()))
+        every = type(self.states)(tuple(state for each in states for state in each.states))
+        return dataclasses.replace(self, neighbors=neighbors, states=every)
+
+    def without_neighbor_pixels(self) -> "Loaded":
+        """The frame for what follows the filter, in less memory."""
+        names = {side: source._replace(buffers=None) for side, source in self.neighbors.items()}
+        return dataclasses.replace(self, neighbors=names)
 
 
 def check_output(output: pathlib.Path) -> None:
@@ -81,12 +114,32 @@ def check_output(output: pathlib.Path) -> None:
     check_folder(output.parent)
 
 
-def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
+def read(arguments: argparse.Namespace) -> Source:
+    """Read the frame that the arguments of `blur` name.
+
+    Args:
+        arguments: of the command.
+
+    Returns:
+        The frame.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+    """
+    from jaxblur import exr
+
+    files = (arguments.input, arguments.velocity_from, arguments.depth_from)
+    states = exr.FileStates.of(path for path in files if path is not None)
+    return Source(arguments.input, sources.read(arguments), states)
+
+
+def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
     """Read the frame that the arguments of `blur` name, and its truth.
 
     Args:
         arguments: of the command.
         settings: whose radius the speeds are compared with.
+        source: the frame, if it was read before.
 
     Returns:
         The frame.
@@ -97,11 +150,10 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
     """
     import numpy as np
 
-    from jaxblur import exr, vectors
+    from jaxblur import vectors
 
-    files = (arguments.input, arguments.velocity_from, arguments.depth_from)
-    states = exr.FileStates.of(path for path in files if path is not None)
-    buffers = sources.read(arguments)
+    source = source or read(arguments)
+    buffers = source.buffers
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
     speeds = vectors.speed_statistics(velocity, settings.radius)
@@ -112,7 +164,21 @@ def load(arguments: argparse.Namespace, settings: Settings) -> Loaded:
         _colors(arguments, arguments.input, buffers.color_channels[0]),
         speeds,
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
-        states,
+        source.states,
+        shutter=arguments.shutter,
+    )
+
+
+def mismatch(loaded: Loaded, source: Source) -> str:
+    """How size or channels of another frame differ from those of a frame; empty if they agree."""
+    (height, width, channels), (rows, columns, others) = (
+        buffers.color.shape for buffers in (loaded.buffers, source.buffers)
+    )
+    if (height, width, channels) == (rows, columns, others):
+        return ""
+    return (
+        f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
+        f"{width}x{height} and {channels}"
     )
 
 
@@ -182,6 +248,8 @@ def passed_through(asked: Choice) -> Choice:
 def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     """Run the filter; a frame that is passed through is filtered as if nothing moved.
 
+    Neighbors are given to filters that take them.
+
     Args:
         chosen: what is to be run.
         loaded: the frame.
@@ -197,7 +265,11 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
-    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed)
+    neighbors: dict[str, Any] = {}
+    if loaded.neighbors and takes_neighbors(chosen.name):
+        given = {side: source.buffers.frame() for side, source in loaded.neighbors.items()}
+        neighbors = {**given, "shutter": loaded.shutter}
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, neighbors)
 
 
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
@@ -289,8 +361,9 @@ def write(
         )
 
 
-def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> dict[str, str]:
+def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> dict[str, str]:
     """Everything needed to make an output again; file names without folders."""
+    buffers = loaded.buffers
     used = dataclasses.asdict(chosen.settings) | {
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
@@ -300,6 +373,10 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
     if arguments.seed is not None:
         used["seed"] = arguments.seed
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    neighbors = ""
+    if loaded.neighbors and chosen.name != PASSED_THROUGH and takes_neighbors(chosen.name):
+        near = {side: source.path.name for side, source in loaded.neighbors.items()}
+        neighbors = ", ".join(f"{side} {name}" for side, name in near.items())
     now = set() if chosen.name == PASSED_THROUGH else set(buffers.color_channels)
     return {
         "jaxblur:version": jaxblur.__version__,
@@ -308,6 +385,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, buffers: Any) -> d
         "jaxblur:settings": _toml(used),
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
         BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
+        **({NEIGHBORS: neighbors} if neighbors else {}),
     }
 
 

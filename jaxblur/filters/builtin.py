@@ -144,6 +144,7 @@ BUILTIN: Sequence[FilterInfo] = (
         settings=Settings(radius=160, fetch="bilinear"),
         check=needs_a_slice,
         row_reach=_layered_rows,
+        takes_neighbors=True,
     ),
 )
 for _info in BUILTIN:

@@ -84,6 +84,8 @@ class FilterInfo:
             `jaxblur.devices.blur_rows` needs it.
         reads_color: whether the weights depend on color. The result is then not linear in color:
             `jaxblur.show.texel_weights` rejects such a filter.
+        takes_neighbors: whether the filter also takes the frames ``before`` and ``after``, each a
+            `Frame` or None, and ``shutter``, the exposure in frames that relates them.
     """
 
     name: str
@@ -97,6 +99,7 @@ class FilterInfo:
     check_fit: Callable[[Sequence[str], Any, Mapping[str, float]], None] | None = None
     row_reach: Callable[[Any, Any, bool], tuple[int, int]] | None = None
     reads_color: bool = False
+    takes_neighbors: bool = False
 
     @functools.cached_property
     def call(self) -> Filter:

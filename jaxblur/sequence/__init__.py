@@ -13,7 +13,7 @@ and writing in one process, `run_cluster` sends frames to the workers of a Dask 
 """
 
 from .cluster import run_cluster as run_cluster
-from .cuts import Cut as Cut, find_cuts as find_cuts
+from .cuts import Cut as Cut, find_cuts as find_cuts, is_cut as is_cut
 from .jobs import (
     Job as Job,
     Plan as Plan,
@@ -34,3 +34,4 @@ from .pipeline import (
     run_pipeline as run_pipeline,
     run_stages as run_stages,
 )
+from .shared import Shared as Shared

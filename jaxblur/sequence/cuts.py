@@ -1,8 +1,14 @@
-"""Camera cuts: frames whose vectors are far longer than those of neighboring frames."""
+"""Camera cuts: frames whose vectors are far longer than usual, pairs that show different things."""
 
 import dataclasses
+import math
 import statistics
 from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxblur import exr
 
 REACH = 3
 """Number of neighbors on either side with which a frame is compared."""
@@ -10,6 +16,16 @@ FACTOR = 4.0
 """Ratio of an outlier's speed to that of its neighbors."""
 SLOWEST = 2.0
 """Mean half-spread in pixels up to which no frame is an outlier."""
+CELLS = 64
+"""Width in cells of the small pictures that `is_cut` compares."""
+UNRELATED = 0.65
+"""Share of the difference between unrelated places from which two frames are of different shots."""
+ALIKE = 0.01
+"""Difference of compressed colors below which pictures are alike."""
+FEWEST = 0.1
+"""Share of cells that must stay in the picture."""
+SHIFTS = 12
+"""Shifts by which unrelated places are found."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,3 +67,78 @@ def find_cuts(speeds: Mapping[int, float]) -> list[Cut]:
         if speeds[frame] > max(FACTOR * usual, SLOWEST):
             cuts.append(Cut(frame, speeds[frame], usual))
     return cuts
+
+
+def is_cut(first: exr.Buffers, second: exr.Buffers, shutter: float) -> bool:
+    """Whether the second of two consecutive frames does not show what the first one shows.
+
+    The vectors of each frame predict where its points are in the other one. Colors there differ, in
+    the mean, by a share of the difference between colors at unrelated places. Over consecutive
+    frames of four path-traced scenes this share is 0.37 at most, between these scenes 0.71 at
+    least. There is a cut if the share of either frame exceeds `UNRELATED`, or if the vectors carry
+    nearly everything out of the picture. Only the two frames decide, so that every run agrees.
+
+    Args:
+        first: a frame.
+        second: the next one, of the same size and channels.
+        shutter: exposure in frames by which their vectors were scaled; above 0.
+
+    Returns:
+        True also where long vectors, as renderers write them at a cut, bring nothing into place.
+    """
+    a, b = _in_cells(first), _in_cells(second)
+    usual = _difference_elsewhere(a.color, b.color)
+    return any(
+        differs > UNRELATED * max(usual, ALIKE)
+        for differs in (_difference(a, b, 2 / shutter), _difference(b, a, -2 / shutter))
+    )
+
+
+class _Cells(NamedTuple):
+    """Means over square cells of a frame.
+
+    Attributes:
+        color: (H, W, C), compressed to 0..1.
+        velocity: (H, W, 2) half-spread in cells.
+    """
+
+    color: np.ndarray
+    velocity: np.ndarray
+
+
+def _in_cells(buffers: exr.Buffers) -> _Cells:
+    height, width = buffers.depth.shape
+    size = max(1, min(width // CELLS, height))
+
+    def means(image: np.ndarray) -> np.ndarray:
+        rows, columns = height // size, width // size
+        whole = image[: rows * size, : columns * size]
+        return whole.reshape(rows, size, columns, size, -1).mean(axis=(1, 3))
+
+    light = np.maximum(np.nan_to_num(buffers.color, posinf=1e6), 0)
+    return _Cells(means(light / (1 + light)), means(buffers.velocity) / size)
+
+
+def _difference(here: _Cells, there: _Cells, frames: float) -> float:
+    """Mean difference of the cells from the cells that they move to; infinite if few land."""
+    height, width = here.color.shape[:2]
+    row, column = np.indices((height, width))
+    x = column + frames * here.velocity[..., 0]
+    y = row + frames * here.velocity[..., 1]
+    lands = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    if lands.mean() < FEWEST:
+        return math.inf
+    x, y = x[lands], y[lands]
+    left, top = x.astype(int), y.astype(int)
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    across, down = (x - left)[:, None], (y - top)[:, None]
+    upper = there.color[top, left] * (1 - across) + there.color[top, right] * across
+    lower = there.color[bottom, left] * (1 - across) + there.color[bottom, right] * across
+    return float(np.abs(upper * (1 - down) + lower * down - here.color[lands]).mean())
+
+
+def _difference_elsewhere(first: np.ndarray, second: np.ndarray) -> float:
+    """Mean difference of cells from cells at unrelated places of the other frame."""
+    a, b = (cells.reshape(-1, cells.shape[-1]) for cells in (first, second))
+    shifts = {len(b) * k // SHIFTS for k in range(1, SHIFTS)}
+    return float(np.mean([np.abs(a - np.roll(b, shift, axis=0)).mean() for shift in shifts]))

@@ -17,7 +17,8 @@ Action = Literal["blur", "pass", "keep", "missing", "refuse"]
 DIGEST = "jaxblur:digest"
 """Header attribute: `digest` of all choices that made the file."""
 INPUT_STATE = "jaxblur:input_state"
-"""Header attribute: size and modification time of every input, from `input_state`."""
+"""Header attribute: size and modification time of every input, from `input_state`; those of the
+frames before and after are inputs too."""
 MEAN_SPEED = "jaxblur:mean_speed"
 """Header attribute: mean half-spread of the frame's vectors in pixels, for `find_cuts`."""
 
@@ -37,6 +38,7 @@ class Job:
         reason: reason for the action, in words.
         marks: attributes for the header of the outputs.
         mean_speed: mean speed stored in outputs that are kept, or None.
+        neighbors: input files by role of the frames before and after, by number.
     """
 
     frame: int
@@ -46,6 +48,7 @@ class Job:
     reason: str
     marks: Mapping[str, str]
     mean_speed: float | None = None
+    neighbors: Mapping[int, Mapping[str, pathlib.Path]] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +104,7 @@ def plan_jobs(
     *,
     overwrite: bool = False,
     cuts: Collection[int] = (),
+    neighbors: bool = False,
 ) -> Plan:
     """Choose the action for each frame; only headers are read.
 
@@ -111,6 +115,8 @@ def plan_jobs(
         choices: everything but the inputs that determines an output; see `digest`.
         overwrite: replace existing files at the outputs, whatever they are.
         cuts: frames to pass through unblurred.
+        neighbors: whether the frames before and after are inputs of a frame, where their files
+            exist. Frames of `cuts` neither have neighbors nor are any.
 
     Returns:
         The plan. Outputs are kept if they were made with the same choices from inputs that have not
@@ -122,7 +128,10 @@ def plan_jobs(
     """
     return Plan(
         tuple(
-            _plan_job(frame, sources, outputs, {**choices, "pass": frame in cuts}, overwrite)
+            _plan_job(
+                *(frame, sources, outputs, {**choices, "pass": frame in cuts}, overwrite),
+                _neighbors_of(frame, sources, cuts) if neighbors else {},
+            )
             for frame in frames
         )
     )
@@ -134,24 +143,51 @@ def _plan_job(
     outputs: Sequence[FrameNames],
     choices: Mapping[str, Any],
     overwrite: bool,
+    neighbors: Mapping[int, Mapping[str, pathlib.Path]],
 ) -> Job:
     inputs = at_frame(sources, frame)
     files = tuple(names.path(frame) for names in outputs)
     for file in files:
-        exr.refuse_overwrite(file, *inputs.values())
+        exr.refuse_overwrite(file, *inputs.values(), *_files_of(neighbors, frame).values())
     missing = [str(path) for path in inputs.values() if not path.is_file()]
     if missing:
         return Job(frame, inputs, files, "missing", f"{missing[0]}: no such file", {})
     # Recorded before the file is read, so that the next run notices an input that changes
     # meanwhile.
-    marks = {DIGEST: digest(choices), INPUT_STATE: _state_of(inputs)}
-    job = Job(frame, inputs, files, "pass" if choices["pass"] else "blur", "new", marks)
+    state = _state_of({**inputs, **_files_of(neighbors, frame)})
+    marks = {DIGEST: digest(choices), INPUT_STATE: state}
+    action: Action = "pass" if choices["pass"] else "blur"
+    job = Job(frame, inputs, files, action, "new", marks, neighbors=neighbors)
     present = [file for file in files if os.path.lexists(file)]
     if not present:
         return job
     if overwrite:
         return dataclasses.replace(job, reason=f"replaces {present[0].name}")
     return _compare(job, present)
+
+
+def _neighbors_of(
+    frame: int, sources: Mapping[str, FrameNames | pathlib.Path], cuts: Collection[int]
+) -> dict[int, dict[str, pathlib.Path]]:
+    """Return the inputs of the frames before and after a frame, if all of them exist."""
+    names = {role: name for role, name in sources.items() if role != "truth"}
+    found = {} if frame in cuts else {n: at_frame(names, n) for n in (frame - 1, frame + 1)}
+    return {
+        number: inputs
+        for number, inputs in found.items()
+        if number not in cuts and all(path.is_file() for path in inputs.values())
+    }
+
+
+def _files_of(
+    neighbors: Mapping[int, Mapping[str, pathlib.Path]], frame: int
+) -> dict[str, pathlib.Path]:
+    """Return the files of the neighbors of a frame by role, such as ``before_input``."""
+    return {
+        f"{'before' if number < frame else 'after'}_{role}": path
+        for number, inputs in neighbors.items()
+        for role, path in inputs.items()
+    }
 
 
 def _state_of(inputs: Mapping[str, pathlib.Path]) -> str:
