@@ -26,6 +26,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a script Ctrl-C is ignored, by this process and by those that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+QUICK_XLA = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+if "XLA_FLAGS" not in os.environ:
+    # Tests compile far longer than they run. `XLA_FLAGS=` (empty) compiles as users do; CI and a
+    # slow test run the tests of filters and gradients that way too.
+    os.environ["XLA_FLAGS"] = QUICK_XLA
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 if COMPILED not in os.environ:

@@ -192,6 +192,9 @@ def _image(shape: tuple[int, int, int], planes: Sequence[jax.Array]) -> jax.Arra
     return jnp.concatenate([jnp.broadcast_to(plane, shape) for plane in planes], axis=-1)
 
 
+# Equal arguments give the same function: it is a part of the key under which a kernel is kept once
+# it is printed.
+@functools.lru_cache(maxsize=512)
 def _of_planes(sample: Callable[..., Any], structure: Any) -> Callable[..., Any]:
     """A sample that takes each prepared value as an image of one channel."""
 
@@ -202,6 +205,7 @@ def _of_planes(sample: Callable[..., Any], structure: Any) -> Callable[..., Any]
     return of_planes
 
 
+@functools.lru_cache(maxsize=512)
 def _limit_of_planes(limit: Callable[..., Any], structure: Any) -> Callable[..., Any]:
     return lambda local: limit(jax.tree.unflatten(structure, [value for (value,) in local]))
 
@@ -212,35 +216,42 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     Their derivatives are then those of a sum, in native code too, and reverse mode computes these
     stages once more and keeps none of their dozens of planes.
     """
-
-    def prepare(place: Place, local: Any, tables: Any) -> tuple[Any, list[Any]]:
-        wanted, found = stages.where(place, local, tables)
-        prepared = stages.prepare(place, local, tables, found)
-        if stages.otherwise is None:
-            return wanted, prepared
-        rest = stages.otherwise(place, local, tables, found)
-        return wanted, [jnp.where(wanted, *pair) for pair in zip(prepared, rest, strict=True)]
-
-    grid = plan.grid
+    prepare, grid = functools.partial(_prepare, stages), plan.grid
     local, tables = plan.operands(leaves)
     values, structure = jax.tree.flatten(jax.eval_shape(prepare, grid.place(), local, tables)[1])
     dtype = jnp.result_type(jnp.float32, *(value.dtype for value in values))
-    planes = [k for k, value in enumerate(values) if value.ndim == 3]
-
-    def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:
-        wanted, prepared = prepare(place, local, tables)
-        values = jax.tree.leaves(prepared)
-        return [wanted.astype(dtype), *(values[k].astype(dtype) for k in planes)]
-
+    planes = tuple(k for k, value in enumerate(values) if value.ndim == 3)
     everywhere = jnp.ones((grid.height, grid.width), bool)
     wanted, *found = sum_samples(
-        *(one_sample, 1, everywhere, leaves[: plan.locals], leaves[plan.locals :], grid),
-        plan.backend,
+        *(_one_sample(stages, planes, dtype.name), 1, everywhere),
+        *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
     )
     # Scalars are as fast to compute as to read.
     scalars = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
     values = replaced(scalars, planes, [plane[..., None] for plane in found])
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
+
+
+def _prepare(stages: Stages, place: Place, local: Any, tables: Any) -> tuple[Any, list[Any]]:
+    """Which results are wanted, and the prepared values."""
+    wanted, found = stages.where(place, local, tables)
+    prepared = stages.prepare(place, local, tables, found)
+    if stages.otherwise is None:
+        return wanted, prepared
+    rest = stages.otherwise(place, local, tables, found)
+    return wanted, [jnp.where(wanted, *pair) for pair in zip(prepared, rest, strict=True)]
+
+
+@functools.lru_cache(maxsize=512)
+def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Callable[..., Any]:
+    """The preparation as a sample: whether results are wanted, and those values that are planes."""
+
+    def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:
+        wanted, prepared = _prepare(stages, place, local, tables)
+        values = jax.tree.leaves(prepared)
+        return [wanted.astype(dtype), *(values[k].astype(dtype) for k in planes)]
+
+    return one_sample
 
 
 def _gather_jvp(
@@ -281,7 +292,7 @@ def _scalar_derivatives(
     directions: Sequence[jax.Array],
 ) -> tuple[jax.Array, jax.Array]:
     """The results and their change with some scalars, from one kernel: derivatives are images."""
-    augmented = _with_scalar_derivatives(plan, stages, active)
+    augmented = _with_scalar_derivatives(stages, tuple(active))
     images = _gather(plan, augmented, kept, leaves)
     size = images.shape[-1] // (1 + len(active))
     blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
@@ -292,7 +303,7 @@ def _scalar_derivatives(
 
 
 def _carrying(
-    plan: Plan, stages: Stages, active: Sequence[int], stage: Callable[..., Any]
+    stages: Stages, active: Sequence[int], stage: Callable[..., Any]
 ) -> Callable[..., Any]:
     """A stage before the samples, and its derivative with respect to each active scalar."""
 
@@ -311,9 +322,10 @@ def _carrying(
     return carried
 
 
-def _with_scalar_derivatives(plan: Plan, stages: Stages, active: Sequence[int]) -> Stages:
+@functools.lru_cache(maxsize=512)
+def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
     """Stages that carry the derivative with respect to each active scalar along."""
-    carrying = functools.partial(_carrying, plan, stages, active)
+    carrying = functools.partial(_carrying, stages, active)
     whole_sample, whole_finish = stages.sample, stages.finish
     if whole_sample is None or whole_finish is None:
         otherwise = stages.otherwise and _flat(carrying(stages.otherwise))

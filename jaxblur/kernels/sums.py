@@ -115,25 +115,25 @@ def _sum(plan: Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
     """The sums, without derivatives."""
     by_xla = functools.partial(_sum_by_xla, plan)
     operands = [moving[..., None], *leaves]
-    native = native_gather(_only(plan), operands, plan.locals + 1, plan.grid, plan.backend)
+    stages = _only(plan.sample, plan.limit, plan.samples)
+    native = native_gather(stages, operands, plan.locals + 1, plan.grid, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
     return on_cpu(native, by_xla, moving, *leaves)
 
 
-def _only(plan: Plan) -> Stages:
+# Equal arguments give the same object here and below: it is a part of the key under which a kernel
+# is kept once it is printed.
+@functools.lru_cache(maxsize=512)
+def _only(sample: Sample, limit: Callable[..., Any] | None, samples: int) -> Stages:
     """Stages that sum a sample where a plane, the first of the local values, is not 0."""
-
-    def sample(index: Any, place: Place, prepared: Any, tables: Any) -> Any:
-        return plan.sample(index, place, prepared, tables)
-
     return Stages(
         where=lambda place, local, tables: (local[0][0], ()),
         prepare=lambda place, local, tables, found: local[1:],
         sample=sample,
         finish=lambda place, sums, prepared, local: sums,
-        limit=plan.limit,
-        samples=plan.samples,
+        limit=limit,
+        samples=samples,
     )
 
 
@@ -207,6 +207,12 @@ def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
 _sum.defjvp(_sum_jvp, symbolic_zeros=True)
 
 
+@functools.lru_cache(maxsize=512)
+def _augmented(sample: Sample, active: tuple[int, ...]) -> Sample:
+    """`_with_derivatives` of a sample."""
+    return functools.partial(_with_derivatives, sample, active)
+
+
 def _with_derivatives(
     sample: Sample, active: Sequence[int], index: Any, place: Place, local: Any, tables: Any
 ) -> Terms:
@@ -231,7 +237,7 @@ def _local_derivatives(
     directions: Sequence[jax.Array],
 ) -> tuple[Terms, Terms]:
     """The sums and their change, from one kernel that sums terms and derivatives."""
-    augmented = plan._replace(sample=functools.partial(_with_derivatives, plan.sample, active))
+    augmented = plan._replace(sample=_augmented(plan.sample, tuple(active)))
     sums = _sum(augmented, moving, leaves)
     size = len(sums) // (1 + len(active))
     change = [jnp.zeros_like(total) for total in sums[:size]]

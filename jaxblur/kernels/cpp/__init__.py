@@ -88,9 +88,12 @@ def native_pull(
     """
     operands = Operands.of(leaves, locals_, len(grid.sizes))
     lengths = [leaves[k].size for k in active if k >= locals_]
-    return _build(
-        lambda: emit_pull(sample, limit, count, operands, active, terms), grid, lengths, backend
-    )
+    names = tuple(np.dtype(term).name for term in terms)
+
+    def emit() -> Kernel:
+        return emit_pull(sample, limit, count, operands, tuple(active), names)
+
+    return _build(emit, grid, lengths, backend)
 
 
 def native_marks(

@@ -6,6 +6,7 @@ reduction whose order of summation matters.
 """
 
 import dataclasses
+import functools
 import pathlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -283,6 +284,7 @@ def emit_pass(pass_: Any) -> Kernel:
     return emit_gather(traced.stages, operands, pass_.kept)
 
 
+@functools.lru_cache(maxsize=512)
 def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: bool = True) -> Kernel:
     """Print the stages of a program.
 
@@ -331,13 +333,14 @@ def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: boo
     return program.kernel(list(results), 0, kept, is_image)
 
 
+@functools.lru_cache(maxsize=512)
 def emit_pull(
     sample: Callable[..., Any],
     limit: Callable[..., Any] | None,
     count: int,
     operands: Operands,
-    active: Sequence[int],
-    terms: Sequence[Any],
+    active: tuple[int, ...],
+    terms: tuple[str, ...],
 ) -> Kernel:
     """Print the transposed derivative of a sum over samples: from images to inputs.
 
@@ -347,7 +350,7 @@ def emit_pull(
         count: number of samples N.
         operands: the inputs.
         active: positions of the differentiated inputs among the local ones, then the tables.
-        terms: types of the images, one for each sum.
+        terms: names of the types of the images, one for each sum.
 
     Returns:
         The kernel; its operands are the wanted pixels, the inputs, the images. Its results are in
@@ -357,7 +360,7 @@ def emit_pull(
     Raises:
         Unsupported: the sample uses an operation or a type that has no form in C++ here.
     """
-    planes = tuple(Kind(np.dtype(term).name, 1) for term in terms)
+    planes = tuple(Kind(term, 1) for term in terms)
     # All local inputs, so that the wanted pixels come first; the images come after the tables.
     every = Operands((Kind("bool", 1), *operands.local), operands.tables, operands.sizes)
     program = _Program(every)
@@ -388,6 +391,7 @@ def emit_pull(
     return program.kernel(program.sums(planes_out), len(tables_out))
 
 
+@functools.lru_cache(maxsize=512)
 def emit_marks(stages: Stages, operands: Operands, apart: int = 0) -> Kernel:
     """Print `jaxblur.kernels.scatter.largest_marks`.
 

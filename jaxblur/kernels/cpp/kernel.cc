@@ -1,11 +1,11 @@
 /* A program for every pixel of a grid: sums over samples, additions to tables, or the largest marks
    at places of a table. emit.py fills in the text between two @. Sizes are known when it runs. */
-#include <atomic>
-#include <condition_variable>
-#include <cstdint>
-#include <cstdlib>
-#include <cstring>
-#include <mutex>
+/* C headers: those of C++ take the compiler longer than the program does. */
+#define _GLIBCXX_INCLUDE_NEXT_C_HEADERS
+#include <pthread.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
 
 #include "xla/ffi/api/c_api.h"
 
@@ -43,9 +43,9 @@ struct Job {
   int64_t table_sizes[TABLES + 1];
   Element* tables_of_part[MOST_PARTS_WITH_TABLES][TABLES + 1];
   int parts;
-  std::atomic<int> next_part{0}, users{1};
-  std::mutex mutex;
-  std::condition_variable finished;
+  int next_part = 0, users = 1; /* changed by `count` alone */
+  pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  pthread_cond_t finished = PTHREAD_COND_INITIALIZER;
   int parts_done = 0;
 };
 
@@ -139,18 +139,34 @@ static void sum_part(const Job* job, int part) {
     sum_piece(job, job->tables_of_part[part], piece);
 }
 
-/* What a thread does; the last one that knows the job removes it. */
+/* Adds to a number that threads share; returns what it was. */
+static inline int count(int* number, int more) {
+  return __atomic_fetch_add(number, more, __ATOMIC_SEQ_CST);
+}
+
+/* The last one that knows the job removes it. */
+static void leave(Job* job) {
+  if (count(&job->users, -1) > 1) return;
+  pthread_cond_destroy(&job->finished);
+  pthread_mutex_destroy(&job->mutex);
+  delete job;
+}
+
+/* What a thread does. */
 static void work(void* argument) {
   Job* job = static_cast<Job*>(argument);
   int done = 0;
-  for (int part = job->next_part++; part < job->parts; part = job->next_part++, ++done)
+  for (int part = count(&job->next_part, 1); part < job->parts; part = count(&job->next_part, 1)) {
     sum_part(job, part);
-  if (done) {
-    std::lock_guard<std::mutex> lock(job->mutex);
-    job->parts_done += done;
-    if (job->parts_done == job->parts) job->finished.notify_one();
+    ++done;
   }
-  if (--job->users == 0) delete job;
+  if (done) {
+    pthread_mutex_lock(&job->mutex);
+    job->parts_done += done;
+    if (job->parts_done == job->parts) pthread_cond_signal(&job->finished);
+    pthread_mutex_unlock(&job->mutex);
+  }
+  leave(job);
 }
 
 /* Whether XLA refused something; its error is thrown away. */
@@ -215,22 +231,24 @@ static bool run(Job* job, XLA_FFI_CallFrame* frame) {
   job->parts = TABLES && !APART && helpers + 1 < most ? helpers + 1 : most;
   const bool enough = make_tables(job);
   if (enough) {
-    ++job->users; /* Who waits for it, and who works. */
+    count(&job->users, 1); /* Who waits for it, and who works. */
     for (int t = 0; t < helpers && t + 1 < job->parts; ++t) {
       XLA_FFI_ThreadPool_Schedule_Args task = {};
       task.struct_size = XLA_FFI_ThreadPool_Schedule_Args_STRUCT_SIZE;
       task.ctx = frame->ctx;
       task.task = work;
       task.data = job;
-      ++job->users;
-      if (refused(frame->api, frame->api->XLA_FFI_ThreadPool_Schedule(&task))) --job->users;
+      count(&job->users, 1);
+      if (refused(frame->api, frame->api->XLA_FFI_ThreadPool_Schedule(&task)))
+        count(&job->users, -1);
     }
     work(job);
-    std::unique_lock<std::mutex> lock(job->mutex);
-    job->finished.wait(lock, [job] { return job->parts_done == job->parts; });
+    pthread_mutex_lock(&job->mutex);
+    while (job->parts_done < job->parts) pthread_cond_wait(&job->finished, &job->mutex);
+    pthread_mutex_unlock(&job->mutex);
   }
   join_tables(job, enough);
-  if (--job->users == 0) delete job;
+  leave(job);
   return enough;
 }
 

@@ -1,9 +1,23 @@
 /* Values of several neighboring pixels at once, one a lane: arithmetic, reads and writes. Put into
    kernel.cc by emit.py. */
-#include <cmath>
-#include <cstdint>
-#include <cstring>
-#ifdef __AVX2__
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+#if defined(__AVX2__) && defined(__GNUC__) && !defined(__clang__) && __GNUC__ < 15
+/* The parts of immintrin.h that are used, in its order: all of it takes GCC 0.7 s, these 0.1 s. */
+#define _IMMINTRIN_H_INCLUDED
+#include <mmintrin.h>
+#include <xmmintrin.h>
+#include <emmintrin.h>
+#include <pmmintrin.h>
+#include <tmmintrin.h>
+#include <smmintrin.h>
+#include <avxintrin.h>
+#include <avx2intrin.h>
+#ifdef __AVX512F__
+#include <avx512fintrin.h>
+#endif
+#elif defined(__AVX2__)
 #include <immintrin.h>
 #endif
 
