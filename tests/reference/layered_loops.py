@@ -254,7 +254,7 @@ def layered(color, depth, velocity, parameters, settings, tap, path=None):
     sharpness, coverage = parameters["surface_sharpness"], parameters["thin_coverage"]
     motion, z = purest(motion, z, color, sharpness, coverage)
     paths = paths_of(motion, z, parameters, radius, path is not None)
-    owners = owners_of(paths, z, radius, max(min(settings["samples"] // 6 * 2, 16), 1))
+    owners = owners_of(paths, z, radius, min(settings["samples"] // 3, 15))
     out = color.copy()
     for at in np.ndindex(depth.shape):
         drawn = any(image.get(at, at) != at for image in owners)

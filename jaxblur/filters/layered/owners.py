@@ -20,8 +20,9 @@ from ...settings import Settings
 from .._weights import SPEED_FLOOR
 from .paths import Path
 
-MOST_INTERVALS = 16
-"""Largest number of intervals between the times, so that many samples need no more memory."""
+MOST_INTERVALS = 15
+"""Largest number of intervals between the times, so that many samples need no more memory; odd, see
+`intervals_of`."""
 
 _NEAREST, _OCTAVES = -10, 32
 """Depths are ordered from 2^-10 scene units on, over so many doublings."""
@@ -89,10 +90,10 @@ class Coding(NamedTuple):
 def intervals_of(slices: int) -> int:
     """The number of intervals into which the times of `owners_of` cut the exposure.
 
-    It is even, so that one of the times is the middle, where every pixel is in its place. A thing
-    that is narrower along its motion than the way of an interval is missed in between.
+    The middle of no slice is one of the times then, so that a reversed motion has the same pairs of
+    them. A thing that is narrower along its motion than the way of an interval is missed in between.
     """
-    return max(min(slices // 2 * 2, MOST_INTERVALS), 1)
+    return slices if slices <= MOST_INTERVALS else MOST_INTERVALS
 
 
 def time_of(index: Array, intervals: int, like: Array) -> Array:

@@ -80,7 +80,7 @@ def path_of_pixel(
         shorter = shortening(speed, settings.radius)
         x, y = x * shorter, y * shorter
     # A path ends within the radius.
-    left = settings.radius - safe_norm(pixel.x, pixel.y)
+    left = jnp.maximum(settings.radius - safe_norm(pixel.x, pixel.y), 0)
     length = safe_norm(x, y)
     shorter = jnp.where(length > left, left / jnp.where(length > left, length, 1), 1)
     return Outcome((pixel.x, pixel.y, pixel.log_depth, x * shorter, y * shorter))

@@ -126,7 +126,8 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
 
     # The mean velocity of the other side.
     across, down = taken_from(start)
-    row, column = at.row + down.astype(jnp.int32), at.column + across.astype(jnp.int32)
+    row = jnp.clip(at.row + down.astype(jnp.int32), 0, images.depth.height - 1)
+    column = jnp.clip(at.column + across.astype(jnp.int32), 0, images.depth.width - 1)
     own = _cut(_velocity(images.motion.read(row, column)))
     vectors = [_cut(_velocity(images.motion.read(*place))) for place in near]
     count = jnp.maximum(_count(apart, own[0]), 1)
