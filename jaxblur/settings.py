@@ -95,7 +95,8 @@ class GuertinSettings(Settings):
         dominant: ``max`` is the longest velocity of a neighborhood, which jumps from one pixel to
             another as velocities change; ``soft`` a mean of all, weighted by ``exp(speed / T)``,
             which has a derivative in all of them: for descent on the speeds of objects.
-        temperature: T of ``soft``, pixels. The smaller, the nearer to the longest.
+        temperature: T of ``soft``, pixels. The smaller, the nearer to the longest. ``max`` has
+            none, and takes the default alone.
 
     Raises:
         ValueError: a setting is out of range or unknown.
@@ -113,6 +114,11 @@ class GuertinSettings(Settings):
         super().__post_init__()
         if not 0 < self.temperature < math.inf:
             raise ValueError(f"`temperature` must be pixels above 0, got {self.temperature}.")
+        if self.dominant != "soft" and self.temperature != type(self).temperature:
+            raise ValueError(
+                f"`temperature` must be left out unless dominant='soft', got {self.temperature} "
+                f"with dominant={self.dominant!r}, which has none."
+            )
 
     @property
     def soft_temperature(self) -> float | None:

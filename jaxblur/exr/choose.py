@@ -1,6 +1,7 @@
 """Choose the color, depth and vector channels of a file by their names."""
 
 import dataclasses
+import difflib
 from collections.abc import Mapping, Sequence
 
 from jaxblur import vectors
@@ -112,8 +113,25 @@ def _scope(info: FileInfo, layer: str | None, shared: bool = False) -> dict[str,
         plain = {short: name for short, name in plain.items() if f".{layer}." in f".{short}"}
     if not plain:
         listing = vectors.describe_names(names)
-        raise JaxblurIOError(info.path, f"no layer {layer!r}; the file holds {listing}.")
+        raise JaxblurIOError(
+            info.path,
+            f"no layer {layer!r}{_nearest_layer(layer, names)}; the file holds {listing}.",
+        )
     return plain
+
+
+def _nearest_layer(layer: str | None, names: Sequence[str]) -> str:
+    """Suggest the layer whose name is nearest, or nothing."""
+    paths = [name.split(".")[:-1] for name in names]
+    known = {
+        ".".join(path[begin:end])
+        for path in paths
+        for end in range(1, len(path) + 1)
+        for begin in range(end)
+    }
+    lowered = {name.lower(): name for name in sorted(known)}
+    near = difflib.get_close_matches(str(layer).lower(), lowered, n=1)
+    return f" (did you mean {lowered[near[0]]!r}?)" if near else ""
 
 
 def _without_view(name: str, views: Sequence[str]) -> str:
@@ -198,8 +216,26 @@ def choose_vectors(
                 )
             return vectors.assign_channels(preset, names)
         return _choose_vectors(_scopes(info, layer), preset)
+    except vectors.NoVectorsError as error:
+        raise JaxblurIOError(info.path, f"{_elsewhere(info, layer, preset)}{error}") from error
     except ValueError as error:
         raise JaxblurIOError(info.path, str(error)) from error
+
+
+def _elsewhere(info: FileInfo, layer: str | None, preset: str) -> str:
+    """Say that vectors are in another layer than the one asked for, and what to do, or nothing."""
+    if layer is None:
+        return ""
+    try:
+        found = _choose_vectors(_scopes(info, None), preset).channels
+        color = choose_color(info, layer).channels
+    except (ValueError, JaxblurIOError):
+        return ""
+    return (
+        f"layer {layer!r} has no vectors of its own, and the file has {', '.join(found)}; to blur "
+        f"this layer by those, give its color as `color_channels`, {', '.join(color)}, in place of "
+        "`layer`; or else: "
+    )
 
 
 def _choose_vectors(scopes: Sequence[dict[str, str]], preset: str) -> vectors.Guess:
