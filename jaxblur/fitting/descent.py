@@ -17,6 +17,7 @@ import optax
 from jaxtyping import Array, Float
 
 from .._util.atomic import replacing
+from .._util.stages import Stage as Stage
 from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
 from .priors import Prior
@@ -47,28 +48,6 @@ STAGES = (
     *("Newton steps", "scoring", "standard errors", "profiles"),
 )
 """Stages of a fit, in order; one with fresh noise has no Newton steps."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Stage:
-    """The argument of ``on_stage``: what a fit is doing.
-
-    Attributes:
-        name: one of `STAGES`; a stage begins when the name changes.
-        done: number of its parts that are done.
-        total: number of its parts, at most: a stage may end earlier.
-    """
-
-    name: str
-    done: int
-    total: int
-
-
-Tell = Callable[[Stage], None]
-
-
-def untold(stage: Stage) -> None:
-    """Report a stage to nobody."""
 
 
 @dataclasses.dataclass(frozen=True)

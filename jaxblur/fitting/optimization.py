@@ -17,8 +17,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from .._util.stages import Stage, Tell, untold
 from .constraints import constraints_of
-from .descent import NEVER, Plateau, Progress, Stage, State, Task, Tell, descend, untold
+from .descent import NEVER, Plateau, Progress, State, Task, descend
 from .sensitivity import difference_hessian
 
 OFFSETS = (-3.0, -1.5, 1.5, 3.0)
