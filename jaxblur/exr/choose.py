@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError
 
-from .files import FileInfo
+from .files import FileInfo, Part
 
 # Names of layers that hold the picture, the clearest first; the empty name is the root layer.
 COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "finalimage")
@@ -28,8 +28,8 @@ class ColorGroup:
     """The color channels of a file.
 
     Attributes:
-        prefix: part of the name before the component, with its dot and without a view of
-            single-part stereo; empty at the root.
+        prefix: part of the name before the component, with its dot and without a view; empty at
+            the root.
         channels: full names in the order R, G, B, A or Y, A, or as given.
         alpha: full name of the alpha channel, or None.
     """
@@ -40,17 +40,26 @@ class ColorGroup:
 
 
 def views_of(info: FileInfo) -> tuple[str, ...]:
-    """List the views of single-part stereo, the default view first.
+    """List the views of a stereo file, the default view first.
 
     Args:
         info: listing of the file.
 
     Returns:
-        Names from the attribute ``multiView``; empty if the file has none.
+        Names from the attribute ``multiView`` of a single part, or from the attributes ``view`` of
+        several parts, in their order; empty if the file has none.
     """
-    found = info.parts[0].attributes.get("multiView", ()) if len(info.parts) == 1 else ()
+    if len(info.parts) > 1:
+        return tuple(dict.fromkeys(filter(None, map(_view_of_part, info.parts))))
+    found = info.parts[0].attributes.get("multiView", ())
     names = (found,) if isinstance(found, str) else found
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
+
+
+def _view_of_part(part: Part) -> str:
+    """Return the view of a part of several, empty if it belongs to none in particular."""
+    view = part.attributes.get("view")
+    return view if isinstance(view, str) else ""
 
 
 def borrowed_from(info: FileInfo, layer: str | None, names: Sequence[str]) -> str:
@@ -65,22 +74,25 @@ def borrowed_from(info: FileInfo, layer: str | None, names: Sequence[str]) -> st
         Half a sentence, or nothing if the channels are those of the view.
     """
     views = views_of(info)
-    if layer not in views or all(_view(name, views) == layer for name in names):
+    if layer not in views or all(_view(info, name) == layer for name in names):
         return ""
     default = views[0]
-    if layer == default and not any(_view(name, views) for name in names):
+    if layer == default and not any(_view(info, name) for name in names):
         return ""
     return f"view {layer} has none of its own, so {', '.join(names)} of view {default} is used"
 
 
-def _view(name: str, views: Sequence[str]) -> str:
+def _view(info: FileInfo, name: str) -> str:
     """Return the view of a channel, empty if it belongs to none in particular.
 
     Source: the rules of OpenEXR's ImfMultiView: the view stands before the component, and channels
     without any layer belong to the default view. Here the view may stand anywhere before the
-    component, since not every program that writes such files keeps to the rules.
+    component, since not every program that writes such files keeps to the rules. Where there are
+    several parts, each names its view.
     """
-    layers = name.split(".")[:-1]
+    if len(info.parts) > 1:
+        return _view_of_part(info.parts[info.channel(name).part])
+    layers, views = name.split(".")[:-1], views_of(info)
     if not layers:
         return views[0]
     return next((view for view in reversed(layers) if view in views), "")
@@ -106,9 +118,7 @@ def _scope(info: FileInfo, layer: str | None, shared: bool = False) -> dict[str,
     if views:
         wanted = layer if layer in views and not shared else views[0]
         allowed = (wanted, "") if wanted == views[0] else (wanted,)
-        plain = {
-            _without_view(name, views): name for name in names if _view(name, views) in allowed
-        }
+        plain = {_without_view(info, name): name for name in names if _view(info, name) in allowed}
     if layer is not None and layer not in views:
         plain = {short: name for short, name in plain.items() if f".{layer}." in f".{short}"}
     if not plain:
@@ -134,9 +144,9 @@ def _nearest_layer(layer: str | None, names: Sequence[str]) -> str:
     return f" (did you mean {lowered[near[0]]!r}?)" if near else ""
 
 
-def _without_view(name: str, views: Sequence[str]) -> str:
+def _without_view(info: FileInfo, name: str) -> str:
     *layers, component = name.split(".")
-    view = _view(name, views)
+    view = _view(info, name)
     return ".".join((*(layer for layer in layers if layer != view), component))
 
 
