@@ -62,8 +62,8 @@ def test_info_says_what_blur_would_read(tmp_path):
 
 
 def _actions(command):
-    (commands,) = (a for a in build_parser()._actions if isinstance(a.choices, dict))
-    return commands.choices[command]._actions
+    (commands,) = (a.choices for a in build_parser()._actions if isinstance(a.choices, dict))
+    return commands[command]._actions
 
 
 def test_info_advises_its_own_options_and_says_which_are_those_of_blur(tmp_path):

@@ -146,8 +146,9 @@ def test_a_blurred_view_of_parts_leaves_the_other_parts(tmp_path):
     assert views == [*3 * ["left"], *3 * ["right"], None]
     changed = []
     for index, part in enumerate(before.parts):
-        pixels = [read_raw(path, index)[1] for path in (tmp_path / "in.exr", right)]
-        if not np.array_equal(*pixels):
+        old, new = (read_raw(path, index)[1] for path in (tmp_path / "in.exr", right))
+        assert old is not None and new is not None
+        if not np.array_equal(old, new):
             changed.append(part.name)
     assert changed == ["rgba.right"]
     outcome = run("blur", right, "-o", both, *FEW)

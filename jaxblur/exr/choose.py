@@ -49,9 +49,10 @@ def views_of(info: FileInfo) -> tuple[str, ...]:
         Names from the attribute ``multiView`` of a single part, or from the attributes ``view`` of
         several parts, in their order; empty if the file has none.
     """
-    if len(info.parts) > 1:
+    first, *others = info.parts
+    if others:
         return tuple(dict.fromkeys(filter(None, map(_view_of_part, info.parts))))
-    found = info.parts[0].attributes.get("multiView", ())
+    found = first.attributes.get("multiView", ())
     names = (found,) if isinstance(found, str) else found
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
