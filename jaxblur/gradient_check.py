@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from ._util.stages import Stage, Tell, untold
 from .filters.registry import FilterInfo, filter_info
 from .frame import Frame, check_frame, check_frame_type
 from .gradient_table import GradientCheck, GradientRow
@@ -48,6 +49,10 @@ def squared_error(image: jax.Array, truth: jax.Array) -> jax.Array:
         A number, at least 0.
     """
     return jnp.mean(jnp.square(image - truth))
+
+
+TWIST = tuple(f"{motion} {axis}" for motion in ("rotation", "translation") for axis in "xyz")
+"""Names of the six numbers of a twist, in their order."""
 
 
 class _Point(NamedTuple):
@@ -81,6 +86,7 @@ def check_gradient(
     directions: Mapping[str, Direction] | None = None,
     forward: bool = False,
     seed: int = 0,
+    on_stage: Tell | None = None,
 ) -> GradientCheck:
     """Compare derivatives of a filter with central differences on a frame.
 
@@ -111,7 +117,8 @@ def check_gradient(
         draws: n, at least 2.
         scales: factors of all velocities, above 0.
         object: (H, W) booleans, ``fastest`` for `fastest_object`, or None.
-        camera_velocity: maps depth (H, W) and a twist (6,) to half-spreads (H, W, 2) in pixels.
+        camera_velocity: maps depth (H, W) and a twist (6,), three rotations and three translations
+            as in `jaxblur.camera_velocity`, to half-spreads (H, W, 2) in pixels.
             Each number of the twist is scaled so that x = 1 adds, in the root mean square over
             pixels, the speed of the frame. None leaves the camera out.
         directions: functions of x that give a frame, by name, built of JAX operations; the
@@ -119,6 +126,8 @@ def check_gradient(
         forward: whether to compute forward mode too. In images it runs without native code and
             is slow.
         seed: of the noise.
+        on_stage: called with a `jaxblur.fitting.Stage` as the work goes on: compiling,
+            derivatives, differences; ``on_stage=print`` will do.
 
     Returns:
         The table.
@@ -150,10 +159,13 @@ def check_gradient(
     ]
     programs = _compile(info, chosen, loss)
     noises = _draw(draws, seed, frame)
+    tell = on_stage or untold
+    tell(Stage("compiling", 0, 1))
     start = np.array([float(programs.value(here, image, noise)) for noise in noises])
+    tell(Stage("compiling", 1, 1))
     if not np.isfinite(start).all():
         raise ValueError(f"`loss` must be finite, got {start[~np.isfinite(start)][0]}.")
-    measured = _measure(programs, quantities, image, noises, step, forward)
+    measured = _measure(programs, quantities, image, noises, step, forward, tell)
     largest = max((abs(m.difference.mean()) for m in measured), default=0.0)
     rows = [
         _row(q, m, largest, float(start.mean())) for q, m in zip(quantities, measured, strict=True)
@@ -352,8 +364,7 @@ def _of_camera(
         )
     root_mean_square = np.sqrt(np.mean(np.square(frame.velocity)))
     directions = {}
-    for k in range(6):
-        unit = np.eye(6, dtype=frame.color.dtype)[k]
+    for name, unit in zip(TWIST, np.eye(6, dtype=frame.color.dtype), strict=True):
         added = jnp.asarray(camera_velocity(frame.depth, jnp.asarray(unit)))
         if added.shape != frame.velocity.shape or not np.isfinite(added).all():
             found = "NaN or infinity" if added.shape == frame.velocity.shape else added.shape
@@ -371,7 +382,7 @@ def _of_camera(
                 path = path + jnp.stack([-added, added], axis=-2)
             return frame.replace(velocity=frame.velocity + added, path=path)
 
-        directions[f"twist {k}"] = moved
+        directions[f"twist {name}"] = moved
     return directions
 
 
@@ -435,11 +446,13 @@ def _measure(
     noises: Sequence[Noise],
     step: float,
     forward: bool,
+    tell: Tell,
 ) -> list[_Measured]:
     """Derivatives and differences by every quantity."""
     places = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in quantities]
-    slopes = _reverse(programs, places, truth, noises)
+    slopes = _reverse(programs, places, truth, noises, tell)
     measured = []
+    tell(Stage("differences", 0, len(quantities)))
     for quantity, (point, tangent), slope in zip(quantities, places, slopes, strict=True):
         above, below = quantity.move(step), quantity.move(-step)
         steps = [
@@ -452,6 +465,7 @@ def _measure(
             program = programs.forward if of_frame else programs.forward_of_parameters
             along = [float(program(point, tangent, truth, noise)) for noise in noises]
         measured.append(_Measured(slope, np.array(along), np.array(steps) / (2 * step)))
+        tell(Stage("differences", len(measured), len(quantities)))
     return measured
 
 
@@ -460,11 +474,13 @@ def _reverse(
     places: Sequence[tuple[_Point, _Point]],
     truth: jax.Array,
     noises: Sequence[Noise],
+    tell: Tell = untold,
 ) -> list[np.ndarray]:
     """Derivatives by reverse mode at points along tangents, each (n,)."""
     slopes: list[list[float]] = [[] for _ in places]
     waiting = list(range(len(places)))
     while waiting:
+        tell(Stage("derivatives", len(places) - len(waiting), len(places)))
         # Most quantities change from the same place, where one gradient serves all of them.
         point = places[waiting[0]][0]
         together = [k for k in waiting if _same(places[k][0], point)]

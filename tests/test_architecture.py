@@ -34,7 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "sequence": {"exr"},
     "batch": {"filters", "frame", "noise", "settings"},
     "devices": {"batch", "filters", "frame", "noise", "settings"},
-    "gradient_check": {"filters", "frame", "gradient_table", "noise", "settings"},
+    "gradient_check": {"_util", "filters", "frame", "gradient_table", "noise", "settings"},
     "gradient_table": {"settings"},
     "planning": {"filters", "frame", "settings", "vectors"},
     "show": {"_util", "filters", "frame", "metrics", "noise", "safe_math", "settings"},

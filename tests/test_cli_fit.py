@@ -11,6 +11,7 @@ import jaxblur
 from jaxblur import exr
 from jaxblur.cli.arguments import CommandError
 from jaxblur.cli.fit import held_out
+from jaxblur.fitting import STAGES
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, write_single
 
@@ -46,9 +47,11 @@ def test_it_fits_reports_and_writes(fitted):
     assert f"{out}\n" in outcome.out
     for words in ("held-out", "published", "± standard error", "held"):
         assert words in outcome.out
-    stages = ("compiling", "scanning for a start", "descent", "scoring", "standard errors")
+    stages = [name for name in STAGES if name != "Newton steps"]
+    assert f"starting; stages: {', '.join(STAGES)}\n" in outcome.err
     said = [outcome.err.index(f"jaxblur: {stage}\n") for stage in stages]
     assert said == sorted(said), "each stage is announced as it begins"
+    assert all(outcome.err.count(f"jaxblur: {stage}\n") == 1 for stage in stages)
     assert result.sensitivity is not None
     rows = {line.split()[0]: line for line in outcome.out.splitlines() if line}
     for name in result.free:

@@ -1,12 +1,15 @@
 """``jaxblur info`` and ``jaxblur vectors``."""
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
 
 import jaxblur
 from jaxblur import exr, vectors
+from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, CUBE_NEXT, plain_frame, write_single
 
@@ -51,6 +54,26 @@ def test_info_says_what_blur_would_read(tmp_path):
         "depth: none (several depth channels: a.Depth.Z, b.Depth.Z; choose with --depth-channel.)"
         in out
     )
+    given = ("--depth-channel", "b.Depth.Z", "--color-channels", "a.Depth.Z")
+    out = run("info", path, *given).out
+    assert "color: a.Depth.Z\ndepth: b.Depth.Z\n" in out
+    assert "no channel called none" in refused("info", path, "--depth-channel", "none")
+    assert "no channel called none" in refused("info", path, "--color-channels", "none")
+
+
+def _actions(command):
+    (commands,) = (a.choices for a in build_parser()._actions if isinstance(a.choices, dict))
+    return commands[command]._actions
+
+
+def test_info_advises_its_own_options_and_says_which_are_those_of_blur(tmp_path):
+    path = write_single(tmp_path / "rgb.exr", {name: plain_frame()[name] for name in "RGB"})
+    out = run("info", path).out
+    assert "(--depth-from and --depth: of `jaxblur blur`)" in out
+    assert "(--velocity-from: of `jaxblur blur`)" in out and "velocity_from" not in out
+    known = {flag for action in _actions("info") for flag in action.option_strings}
+    of_blur = set(re.findall(r"--[a-z-]+", " ".join(re.findall(r"\(([^()]*): of `jax", out))))
+    assert set(re.findall(r"--[a-z-]+", out)) <= known | of_blur
 
 
 def test_info_measures_at_the_given_shutter():
@@ -93,7 +116,7 @@ def test_names_from_files_are_escaped_wherever_they_are_printed(tmp_path):
         run("info", path),
         run("info", path, "--json"),
         run("info", path, "--velocity-channels", f"{HOSTILE}.x,none"),
-        run("vectors", path, "--next", path, "--velocity-channels", f"{HOSTILE}.x,{HOSTILE}.x"),
+        run("vectors", path, "--next", CAR, "--velocity-channels", f"{HOSTILE}.x,{HOSTILE}.x"),
         run("blur", path, "-o", tmp_path / "out.exr", "--color-channels", f"{HOSTILE}.x,none"),
     ]
     for outcome in outcomes:
@@ -208,10 +231,55 @@ def test_vectors_refuses_pairs_that_do_not_fit(tmp_path):
     small = write_single(tmp_path / "small.exr", plain_frame())
     message = refused("vectors", CAR, "--next", small)
     assert "small.exr" in message and "6x4" in message and "160x112" in message
-    assert "pairs" in refused("vectors", CAR, "--next", CAR, "--velocity-channels", "a,b,c")
+    assert "pairs" in refused("vectors", CAR, "--next", CUBE, "--velocity-channels", "a,b,c")
     still = plain_frame() | {f"velocity.{axis}": np.zeros((4, 6), np.float32) for axis in "XY"}
     path = write_single(tmp_path / "still.exr", still)
-    assert "still.exr: nothing moves" in refused("vectors", path, "--next", path)
+    following = write_single(tmp_path / "next.exr", plain_frame(seed=1))
+    assert "still.exr: nothing moves" in refused("vectors", path, "--next", following)
+
+
+def test_vectors_refuses_a_frame_as_its_own_next(tmp_path):
+    words = refused("vectors", CUBE, "--next", CUBE)
+    assert f"--next: {CUBE} is the frame itself; give the frame that follows." in words
+    (tmp_path / "link.exr").symlink_to(CUBE)
+    assert "is the frame itself" in refused("vectors", CUBE, "--next", tmp_path / "link.exr")
+    copy = shutil.copy(CUBE, tmp_path / "copy.exr")
+    words = refused("vectors", CUBE, "--next", copy)
+    assert f"copy.exr: has the same picture as {CUBE}" in words
+
+
+def test_vectors_says_how_to_give_the_following_frame():
+    words = refused("vectors", CUBE, CUBE_NEXT)
+    assert f"takes one frame, and the following one as --next {CUBE_NEXT}" in words
+    assert "--next: is missing; give the frame that follows" in refused("vectors", CUBE)
+
+
+def test_a_layer_without_vectors_says_how_to_blur_it(tmp_path):
+    given = ("--layer", "ViewLayer.Noisy Image")
+    words = refused("blur", CUBE, "-o", tmp_path / "out.exr", *given)
+    assert "layer 'ViewLayer.Noisy Image' has no vectors of its own, and the file has" in words
+    colors = ",".join(f"ViewLayer.Noisy Image.{c}" for c in "RGBA")
+    assert f"give its color as --color-channels, {colors.replace(',', ', ')}, in place of" in words
+    out = tmp_path / "out.exr"
+    few = ("--filter", "pixel_velocity", "--samples", "5")
+    assert run("blur", CUBE, "-o", out, *few, "--color-channels", colors).status == 0
+    changed = [
+        not np.array_equal(exr.read_channels(CUBE, [name]), exr.read_channels(out, [name]))
+        for name in ("ViewLayer.Noisy Image.R", "ViewLayer.Combined.R")
+    ]
+    assert changed == [True, False]
+    words = refused("vectors", CUBE, "--next", CUBE_NEXT, *given)
+    assert "layer 'ViewLayer.Noisy Image' has no vectors of its own, and the file has" in words
+    assert "has no vectors of its own" in run("info", CUBE, *given).out
+
+
+@pytest.mark.parametrize(
+    ("layer", "nearest"), [("Noisy", "Noisy Image"), ("viewlayer", "ViewLayer")]
+)
+def test_a_layer_that_is_not_there_gets_a_suggestion(tmp_path, layer, nearest):
+    words = f"no layer {layer!r} (did you mean {nearest!r}?); the file holds ViewLayer.Combined.R"
+    assert words in refused("blur", CUBE, "-o", tmp_path / "out.exr", "--layer", layer)
+    assert words in refused("vectors", CUBE, "--next", CUBE_NEXT, "--layer", layer)
 
 
 def test_vectors_of_a_motion_along_one_axis_are_inconclusive(tmp_path):
@@ -229,9 +297,10 @@ def test_vectors_of_a_motion_along_one_axis_are_inconclusive(tmp_path):
     assert json.loads(outcome.out)["undecided"] == ["the sign of y"]
 
 
-def test_info_lists_several_files_one_after_the_other():
-    outcome = run("info", CAR, CUBE, "--radius", "5")
-    alone = [run("info", path, "--radius", "5").out for path in (CAR, CUBE)]
+def test_info_lists_several_files_one_after_the_other(tmp_path):
+    small = write_single(tmp_path / "small.exr", plain_frame())
+    outcome = run("info", CAR, small, "--radius", "5")
+    alone = [run("info", path, "--radius", "5").out for path in (CAR, small)]
     assert outcome.status == 0 and outcome.out == "\n".join(alone)
 
 
@@ -240,6 +309,8 @@ def test_info_lists_a_sequence_in_the_order_of_its_frames():
     out = run("info", pattern).out
     assert out == run("info", CUBE, CUBE_NEXT).out
     assert out.startswith(f"{CUBE}\n") and f"\n\n{CUBE_NEXT}\n" in out
+    # The second file lacks a part, and is listed in full.
+    assert out.count("display window") == 2
     assert "no such frames" in refused("info", CUBE.parent / "nothing_####.exr")
 
 
@@ -264,3 +335,26 @@ def test_info_says_where_its_radius_comes_from():
     out = run("info", CAR).out
     assert f"beyond {usual} px: what layered, the default filter, shortens to its default" in out
     assert "the default filter" not in run("info", CAR, "--radius", "5").out
+
+
+def test_info_lists_frames_like_the_first_in_one_line(tmp_path):
+    for number in range(1, 6):
+        channels = plain_frame(seed=number)
+        if number == 3:
+            channels["R"][0, :2] = np.nan
+        if number >= 4:
+            channels["extra"] = channels["R"]
+        write_single(tmp_path / f"a.000{number}.exr", channels)
+    out = run("info", tmp_path / "a.####.exr", "--radius", "5").out
+    first = run("info", tmp_path / "a.0001.exr", "--radius", "5").out
+    fourth = run("info", tmp_path / "a.0004.exr", "--radius", "5").out
+    assert out.startswith(first + "\n") and f"\n\n{fourth}\n" in out
+    lines = out.removeprefix(first).replace(fourth, "").split("\n")
+    assert [line.partition(": ")[0] for line in lines if line] == [
+        str(tmp_path / f"a.000{number}.exr") for number in (2, 3, 5)
+    ]
+    found = json.loads(run("info", tmp_path / "a.0002.exr", "--radius", "5", "--json").out)
+    fast = found["motion"]["speeds"]["percentiles"]
+    assert f"a.0002.exr: as a.0001.exr; half-spread median {fast['50.0']:.2f}, max" in lines[1]
+    assert lines[2].endswith("; NaN or infinity in R (2 pixels)")
+    assert "a.0005.exr: as a.0004.exr; half-spread" in lines[-2]

@@ -84,3 +84,12 @@ def test_motion_is_not_told(tmp_path):
     assert outcome.status == 0 and "nothing moves" not in outcome.err
     closed = run("blur", frame, "-o", tmp_path / "2.exr", *FAST, "--shutter", "0")
     assert closed.status == 0 and "nothing moves" not in closed.err
+
+
+def test_motion_cannot_be_required_of_a_closed_shutter(tmp_path):
+    out = tmp_path / "out.exr"
+    words = refused("blur", CAR, "-o", out, "--shutter", "0", "--require-motion")
+    assert "--require-motion: at --shutter 0 nothing moves" in words and not out.exists()
+    names = CAR.parent / "cube_over_crates_frame_####.exr", tmp_path / "out.####.exr"
+    words = refused("blur", names[0], "-o", names[1], "--shutter", "0deg", "--require-motion")
+    assert "--require-motion" in words and not list(tmp_path.iterdir())

@@ -234,3 +234,18 @@ def test_a_benchmark_compares_what_a_screen_shows(tmp_path):
     assert outcome.status == 0, outcome.err
     (line,) = [line for line in outcome.err.splitlines() if "PSNR" in line]
     assert float(line.partition("PSNR ")[2].split()[0]) > 50
+
+
+@pytest.mark.parametrize(
+    ("attributes", "name"),
+    [
+        ({"chromaticities": ACESCG}, "ACEScg (chromaticities)"),
+        ({"colorInteropID": "lin_rec709_scene"}, "linear sRGB (colorInteropID)"),
+        ({"iioo:ColorSpace": "lin_srgb"}, "linear sRGB (oiio:ColorSpace)"),
+        ({}, "linear sRGB (the file names no color space)"),
+    ],
+)
+def test_a_space_has_one_name(tmp_path, attributes, name):
+    source, out = write_patch(tmp_path / "in.exr", **attributes), tmp_path / "out.png"
+    assert f"shown as: {name} to sRGB" in run("info", source).out
+    assert f"colors: {name} to {VIEW}" in run("blur", source, "-o", out, "--view", VIEW, *FEW).err

@@ -10,7 +10,9 @@ import OpenImageIO as oiio
 import pytest
 
 from jaxblur import exr
+from tests.command_line import refused
 from tests.exr_files import CUBE, plain_frame, write_single
+from tests.fuzz.make_corpus import CORPUS
 
 
 def test_missing_and_ambiguous_channels_are_named(tmp_path):
@@ -118,3 +120,19 @@ def test_a_header_that_claims_more_than_the_file_can_hold_is_rejected_before_all
             read(tmp_path / "bomb.exr")
     assert tracemalloc.get_traced_memory()[1] < 1e7
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("name", ["deep", "deep_empty", "deep_tiles"])
+@pytest.mark.parametrize("extra", ["keep", "drop"])
+def test_nothing_deep_is_written(tmp_path, name, extra):
+    # OpenImageIO would store it with zips, whatever compression it is asked for.
+    model = CORPUS / f"{name}.exr"
+    part = exr.inspect(model).parts[0]
+    assert part.deep
+    image = np.zeros((part.data_window[3], part.data_window[2], 3), np.float32)
+    with pytest.raises(exr.JaxblurIOError, match="deep"):
+        exr.write_image(tmp_path / "out.exr", image, like=model, extra=extra)
+    assert not list(tmp_path.iterdir())
+    for command in ("blur", "blur --drop-extra"):
+        words = refused(*command.split(), model, "-o", tmp_path / "out.exr")
+        assert "deep pixels; flatten the image first" in words

@@ -325,3 +325,26 @@ def test_a_spacing_leaves_the_samples_that_the_path_needs(name):
     few = change(samples=9 * slices, noise="none")
     many = change(samples=35 * slices, spacing=0.8, noise="none")
     np.testing.assert_allclose(run(name, frame, many), run(name, frame, few), atol=2e-6)
+
+
+@pytest.mark.parametrize("split", ["even", "variance"])
+@pytest.mark.parametrize(
+    ("column", "counted", "others"), [(20, 5, 16 - 4), (3, 4, 16 - 4 - 8 / 3)], ids=["all", "edge"]
+)
+def test_the_center_weight_is_that_of_the_taps_that_count(split, column, counted, others):
+    # A pan by 8 px over flat depth: taps at T = 0, 8/3 and 16/3 px to both sides have the weights
+    # 2 cone(T) + 2 cylinder(T) = 4, 10/3 and 8/3, and the center n / (kappa |v|). Aligned tiles
+    # have no variance, so that all taps go along the dominant velocity, and all of them count.
+    color = np.zeros((9, 41, 1), np.float32)
+    color[4, column] = 1
+    velocity = np.broadcast_to(np.array([8, 0], np.float32), (9, 41, 2))
+    frame = jaxblur.Frame(color, np.ones((9, 41), np.float32), velocity)
+    settings = jaxblur.GuertinSettings(
+        samples=5, radius=8, split=split, noise="none", tile_choice="own", border="skip"
+    )
+    for kappa in (1.0, 40.0):
+        parameters = jaxblur.GuertinParameters(kappa=kappa)
+        blurred = jaxblur.guertin2014(frame, parameters, settings=settings)
+        center = counted / (kappa * 8)
+        expected = (center + 4) / (center + 4 + others)
+        np.testing.assert_allclose(blurred[4, column, 0], expected, rtol=1e-5)

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 import math
 
 import jax
@@ -11,6 +12,7 @@ import optax
 import pytest
 
 import jaxblur
+from jaxblur import fitting
 from jaxblur.filters.registry import FilterInfo
 from jaxblur.fitting.descent import Plateau, State
 from jaxblur.fitting.priors import Prior
@@ -199,14 +201,36 @@ def test_a_published_value_on_a_bound_has_a_prior_too(tmp_path):
 def test_stages_are_told_as_they_begin_and_go_on():
     told = []
     quick_fit([planted_pair(), planted_pair(1)], holdout=(1,), steps=4, on_stage=told.append)
-    begun = [stage.name for stage in told if stage.done == 0]
-    assert [name for name in dict.fromkeys(begun)] == [
-        *("compiling", "scanning for a start", "descent", "scoring", "standard errors", "profiles")
-    ]
+    begun = [name for name, _ in itertools.groupby(stage.name for stage in told)]
+    # The noise of this fit is fresh, so that it has no Newton steps.
+    assert begun == [name for name in fitting.STAGES if name != "Newton steps"]
     for name in ("compiling", "scoring", "standard errors", "profiles"):
         parts = [(stage.done, stage.total) for stage in told if stage.name == name]
         assert parts == [(done, len(parts) - 1) for done in range(len(parts))]
-    assert [s.done for s in told if s.name == "descent" and s.done][-1] == 4
+    assert [s.done for s in told if s.name == "descent"] == [0, 1]
+    assert [s.done for s in told if s.name == "second descent"] == [1, 2, 3, 4]
+
+
+def test_stages_of_a_resumed_fit_leave_out_what_it_has_behind_it(tmp_path):
+    state, told = tmp_path / "fit.state.npz", []
+
+    def interrupt(progress):
+        if progress.step == 3:
+            raise KeyboardInterrupt
+
+    quick_fit(steps=4, state=state, callback=interrupt)
+    quick_fit(steps=4, state=state, resume=True, on_stage=told.append)
+    begun = [name for name, _ in itertools.groupby(stage.name for stage in told)]
+    assert begun == ["compiling", "second descent", "scoring", "standard errors", "profiles"]
+
+
+def test_a_step_is_told_with_the_parameters_that_its_loss_belongs_to():
+    told = []
+    result = quick_fit(steps=3, callback=told.append)
+    for index, progress in enumerate(told):
+        assert progress.loss == result.history["loss"][index]
+        for name in result.free:
+            assert progress.parameters[name] == pytest.approx(result.history[name][index])
 
 
 def scored(part, label, psnr, ssim, flip, region="moving"):

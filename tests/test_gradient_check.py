@@ -1,6 +1,7 @@
 """Derivatives of the filters do what the picture does, and `check_gradient` shows it."""
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -223,7 +224,10 @@ def test_an_object_turns_without_changing_its_speed():
 
 def test_a_camera_has_six_rows_and_a_cosine():
     table = small(camera_velocity=turning_camera, draws=8)
-    assert [row.name for row in table.rows[1:]] == [f"twist {k}" for k in range(6)]
+    assert [row.name for row in table.rows[1:]] == [
+        *(f"twist rotation {axis}" for axis in "xyz"),
+        *(f"twist translation {axis}" for axis in "xyz"),
+    ]
     # Those that move nothing change nothing.
     assert [row.difference != 0 for row in table.rows[1:]] == [
         True,
@@ -304,3 +308,16 @@ def test_rows_outside_a_range():
 def test_bad_input_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         small(**changes)
+
+
+def test_stages_are_told():
+    told = []
+    table = small(camera_velocity=turning_camera, draws=2, on_stage=told.append)
+    assert [name for name, _ in itertools.groupby(stage.name for stage in told)] == [
+        *("compiling", "derivatives", "differences")
+    ]
+    for name in ("compiling", "differences"):
+        done = [stage.done for stage in told if stage.name == name]
+        total = len(table.rows) if name == "differences" else 1
+        assert done == list(range(total + 1))
+    assert all(0 <= stage.done < stage.total for stage in told if stage.name == "derivatives")

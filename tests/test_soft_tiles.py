@@ -1,5 +1,7 @@
 """Smooth maxima of tiles: near the maximum, the same whatever the sign, with a derivative."""
 
+import types
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 import jaxblur
 from jaxblur.filters.tiles import dominant_velocity
+from tests.command_line import refused
+from tests.exr_files import CAR
 
 RADIUS = 8
 
@@ -64,9 +68,9 @@ def test_the_filter_takes_it():
         jaxblur.guertin2014(
             frame,
             jaxblur.GuertinParameters(),
-            settings=jaxblur.GuertinSettings(radius=RADIUS, dominant=dominant, temperature=1e-3),
+            settings=jaxblur.GuertinSettings(radius=RADIUS, **choice),
         )
-        for dominant in ("max", "soft")
+        for choice in ({}, {"dominant": "soft", "temperature": 1e-3})
     ]
     np.testing.assert_allclose(*images, atol=0.01)
 
@@ -74,3 +78,31 @@ def test_the_filter_takes_it():
 def test_a_temperature_of_0_is_an_error():
     with pytest.raises(ValueError, match="`temperature` must be pixels above 0"):
         jaxblur.GuertinSettings(temperature=0.0)
+
+
+def test_a_temperature_of_the_maximum_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="`temperature` must be left out unless dominant='soft'"):
+        jaxblur.GuertinSettings(temperature=2.0)
+    assert jaxblur.GuertinSettings(dominant="soft", temperature=2.0).soft_temperature == 2.0
+    given = ("blur", CAR, "-o", tmp_path / "out.exr", "--filter", "guertin2014")
+    for options in (("--temperature", "2"), ("--temperature", "0.5", "--dominant", "max")):
+        words = refused(*given, *options)
+        assert "--temperature: is that of --dominant soft; pass that too" in words
+
+
+def test_a_maximum_given_over_soft_settings_leaves_their_temperature(tmp_path):
+    from jaxblur.cli.filtering import complete
+    from jaxblur.cli.main import build_parser
+
+    soft_settings = jaxblur.GuertinSettings(dominant="soft", temperature=2.0)
+    fitted = types.SimpleNamespace(
+        filter="guertin2014", parameters={}, filter_settings=soft_settings
+    )
+    texts = ["blur", "a.exr", "-o", "b.exr"]
+    for options, expected in (
+        ([], soft_settings),
+        (["--temperature", "1"], jaxblur.GuertinSettings(dominant="soft", temperature=1.0)),
+        (["--dominant", "max"], jaxblur.GuertinSettings()),
+    ):
+        arguments = build_parser().parse_args([*texts, *options])
+        assert complete(arguments, fitted)[2] == expected

@@ -1,4 +1,4 @@
-"""Single-part stereo: channels of several views in one part, named by the attribute multiView."""
+"""Stereo: several views in one part, named by the attribute multiView, or each in its parts."""
 
 import json
 
@@ -8,7 +8,7 @@ import pytest
 
 from jaxblur import exr
 from tests.command_line import refused, run
-from tests.exr_files import make_spec, plain_frame, write_parts, write_single
+from tests.exr_files import make_spec, plain_frame, read_raw, write_parts, write_single
 
 SHAPE = (12, 16)
 FEW = ("--filter", "guertin2014", "--samples", "5", "--radius", "4")
@@ -93,3 +93,69 @@ def test_other_files_with_a_layer_of_that_name_are_read_as_before(tmp_path):
     write_single(tmp_path / "in.exr", channels)
     assert exr.views_of(exr.inspect(tmp_path / "in.exr")) == ()
     assert exr.read_buffers(tmp_path / "in.exr", layer="right").depth_channel == "right.Z"
+
+
+def stereo_parts(path, *, named, own=("depth", "velocity")):
+    """Write parts for each view, named by ``named``; ``own`` lists what the right one has."""
+    views = plain_frame(SHAPE, seed=1), plain_frame(SHAPE, seed=2)
+    parts = []
+    for view, frame in zip(("left", "right"), views, strict=True):
+        held = {"rgba": {name: frame[name] for name in "RGB"}, "depth": {"Z": frame["Z"]}}
+        held["velocity"] = {axis: frame[f"velocity.{axis}"] for axis in "XY"}
+        for layer, channels in held.items():
+            if view == "left" or layer in ("rgba", *own):
+                spec = make_spec(channels, name=named.format(layer=layer, view=view), view=view)
+                parts.append((spec, channels))
+    mask = {"id": views[0]["R"]}
+    parts.append((make_spec(mask, name="mask"), mask))
+    write_parts(path, parts)
+    return views
+
+
+@pytest.mark.parametrize("named", ["{layer}.{view}", "{view}.{layer}"])
+def test_views_may_be_parts(tmp_path, named):
+    views = stereo_parts(tmp_path / "in.exr", named=named)
+    assert exr.views_of(exr.inspect(tmp_path / "in.exr")) == ("left", "right")
+    for layer, frame in zip(("left", "right"), views, strict=True):
+        buffers = exr.read_buffers(tmp_path / "in.exr", shutter=2, layer=layer)
+        np.testing.assert_array_equal(buffers.color, color_of(frame))
+        np.testing.assert_array_equal(buffers.depth, frame["Z"])
+        wanted = np.stack([frame["velocity.X"], frame["velocity.Y"]], axis=-1)
+        np.testing.assert_array_equal(buffers.velocity, wanted)
+    default = exr.read_buffers(tmp_path / "in.exr", shutter=2)
+    np.testing.assert_array_equal(default.color, color_of(views[0]))
+    assert "views: left, right; --layer chooses one" in run("info", tmp_path / "in.exr").out
+
+
+def test_a_view_of_parts_without_its_own_vectors_takes_those_of_the_default_view(tmp_path):
+    left, right = stereo_parts(tmp_path / "in.exr", named="{layer}.{view}", own=("depth",))
+    with pytest.warns(exr.JaxblurIOWarning, match="vectors: view right has none of its own, so"):
+        buffers = exr.read_buffers(tmp_path / "in.exr", shutter=2, layer="right")
+    np.testing.assert_array_equal(buffers.depth, right["Z"])
+    np.testing.assert_array_equal(buffers.velocity[..., 0], left["velocity.X"])
+
+
+def test_a_blurred_view_of_parts_leaves_the_other_parts(tmp_path):
+    stereo_parts(tmp_path / "in.exr", named="{layer}.{view}")
+    right, both = tmp_path / "right.exr", tmp_path / "both.exr"
+    outcome = run("blur", tmp_path / "in.exr", "-o", right, "--layer", "right", *FEW)
+    assert outcome.status == 0 and "several" not in outcome.err
+    before, after = exr.inspect(tmp_path / "in.exr"), exr.inspect(right)
+    assert [part.name for part in after.parts] == [part.name for part in before.parts]
+    views = [part.attributes.get("view") for part in after.parts]
+    assert views == [*3 * ["left"], *3 * ["right"], None]
+    changed = []
+    for index, part in enumerate(before.parts):
+        old, new = (read_raw(path, index)[1] for path in (tmp_path / "in.exr", right))
+        assert old is not None and new is not None
+        if not np.array_equal(old, new):
+            changed.append(part.name)
+    assert changed == ["rgba.right"]
+    outcome = run("blur", right, "-o", both, *FEW)
+    assert outcome.status == 0 and "before" not in outcome.err
+    again = run("blur", both, "-o", tmp_path / "again.exr", "--layer", "right", *FEW)
+    assert "both.exr: was blurred by guertin2014 before" in again.err
+    dropped = tmp_path / "dropped.exr"
+    given = ("--layer", "right", "--drop-extra")
+    assert run("blur", tmp_path / "in.exr", "-o", dropped, *given, *FEW).status == 0
+    assert [part.name for part in exr.inspect(dropped).parts] in (["rgba.right"], [""])

@@ -20,8 +20,7 @@ GUERTIN_TABLE = {
 direction, and not near 2.25 times the time at 720p as in the other lines: probably a misprint."""
 MCGUIRE_TIMES = {31: 6.2, 15: 3.0, 7: 2.8, 5: 2.7}
 """McGuire et al. 2012, section 3: ms at 1280x720 on a GeForce 480, by k, which section 2.1 defines
-as the largest radius in pixels; the number of samples is not given. Our times vary the samples, so
-that the two ratios are of different things."""
+as the largest radius in pixels; the number of samples is not given, ours is 15."""
 
 
 class Claim(NamedTuple):
@@ -111,9 +110,13 @@ def _guertin_claims(times: Times, small: tuple[int, int], large: tuple[int, int]
         sizes = ours(large, samples), ours(small, samples)
         found.append(_claim(f"{label}, 1080p to 720p", line[2] / line[0], *sizes))
         for column, (name, size) in columns.items():
+            published = line[column] / line[column + 1]
             what = f"{label}, two directions to one, {name}"
             both = ours(size, samples), ours(size, samples, "one")
-            found.append(_claim(what, line[column] / line[column + 1], *both))
+            found.append(_claim(what, published, *both))
+            what = f"{label}, to mcguire2012, {name}"
+            other = times("mcguire2012", size, samples=samples, radius=plan.GUERTIN_RADIUS)
+            found.append(_claim(what, published, ours(size, samples), other))
     return found
 
 
@@ -122,8 +125,8 @@ def _mcguire_claims(times: Times, size: tuple[int, int]) -> list[Claim]:
         _claim(
             f"mcguire2012, k = {more} to {fewer}, 720p",
             MCGUIRE_TIMES[more] / MCGUIRE_TIMES[fewer],
-            times("mcguire2012", size, samples=more),
-            times("mcguire2012", size, samples=fewer),
+            times("mcguire2012", size, samples=plan.MCGUIRE_SAMPLES, radius=more),
+            times("mcguire2012", size, samples=plan.MCGUIRE_SAMPLES, radius=fewer),
         )
         for more, fewer in ((31, 15), (15, 7), (7, 5), (15, 5))
     ]

@@ -26,6 +26,8 @@ MOVING_SCENE = "camera_turn"
 NO_TRUTH = "accumulate 0"
 REFERENCE_FRAME = "0011"
 SPEED_SAMPLES = (15, 35)
+GUERTIN_RADIUS = 40
+MCGUIRE_SAMPLES = 15
 EVERY_TILE = "every tile moves"
 
 
@@ -42,7 +44,8 @@ class Extent:
         sizes: sizes at which all filters are timed.
         growth: values by setting, timed at the second of the sizes.
         claim_sizes: the two sizes of the paper's table, or smaller ones of the same ratio.
-        claim_samples: samples of guertin2014 and of mcguire2012 in the papers' tables.
+        claim_samples: samples of guertin2014 in table 3.I.
+        claim_radii: radii of mcguire2012 in section 3 of its paper.
         renderers: numbers of samples by renderer.
         reference_samples: numbers of samples on rendered reference frames.
         reference_scenes: number of rendered reference scenes.
@@ -58,7 +61,8 @@ class Extent:
     sizes: Sequence[tuple[int, int]]
     growth: dict[str, Sequence]
     claim_sizes: Sequence[tuple[int, int]]
-    claim_samples: tuple[Sequence[int], Sequence[int]]
+    claim_samples: Sequence[int]
+    claim_radii: Sequence[int]
     renderers: dict[str, Sequence[int]]
     reference_samples: Sequence[int]
     reference_scenes: int
@@ -80,7 +84,8 @@ DEFAULT = Extent(
     sizes=SIZES,
     growth={"samples": (5, 9, 15, 27, 47, 64), "radius": (10, 20, 40, 80)},
     claim_sizes=((720, 1280), (1080, 1920)),
-    claim_samples=((19, 27, 35, 47), (5, 7, 15, 31)),
+    claim_samples=(19, 27, 35, 47),
+    claim_radii=(5, 7, 15, 31),
     renderers={
         "accumulate": (2, 4, 8, 16, 32, 64),
         "stochastic": (2, 4, 8, 16, 32, 64),
@@ -100,7 +105,8 @@ QUICK = Extent(
     sizes=((90, 160), (180, 320)),
     growth={"samples": (63,), "radius": (80,)},
     claim_sizes=((180, 320), (270, 480)),
-    claim_samples=((19, 47), (5, 15, 31)),
+    claim_samples=(19, 47),
+    claim_radii=(5, 15, 31),
     renderers={"accumulate": (2, 8, 32)},
     reference_samples=(),
     reference_scenes=1,
@@ -144,10 +150,13 @@ def _scene(name: str, extent: Extent) -> Subject:
 
 def claim_jobs(extent: Extent) -> list[Job]:
     """The cases that the papers timed, at their sizes."""
-    for_guertin, for_mcguire = extent.claim_samples
-    axes = {"directions": ("two", "one"), "samples": for_guertin}
-    cases = bench.product(["guertin2014"], axes)
-    cases += bench.product(["mcguire2012"], {"samples": for_mcguire})
+    samples = extent.claim_samples
+    cases = bench.product(["guertin2014"], {"directions": ("two", "one"), "samples": samples})
+    same = {"samples": samples, "radius": (GUERTIN_RADIUS,)}
+    cases += bench.product(["mcguire2012"], same)
+    cases += bench.product(
+        ["mcguire2012"], {"samples": (MCGUIRE_SAMPLES,), "radius": extent.claim_radii}
+    )
     return [(_timed(size), case) for size in extent.claim_sizes for case in cases]
 
 

@@ -35,7 +35,7 @@ def camera_velocity(depth: jax.Array, twist: jax.Array) -> jax.Array:
     height, width = depth.shape
     x = (jnp.arange(width) - (width - 1) / 2)[None, :] / width
     y = (jnp.arange(height) - (height - 1) / 2)[:, None] / width
-    (move_x, move_y, move_z), (turn_x, turn_y, turn_z) = twist[:3], twist[3:]
+    (turn_x, turn_y, turn_z), (move_x, move_y, move_z) = twist[:3], twist[3:]
     right = (x * move_z - move_x) / depth + x * y * turn_x - (1 + x * x) * turn_y + y * turn_z
     down = (y * move_z - move_y) / depth + (1 + y * y) * turn_x - x * y * turn_y - x * turn_z
     return width * jnp.stack([right, down], axis=-1)
@@ -62,7 +62,7 @@ def tables(files: list[Path], name: str, settings: Any, draws: int) -> list[Any]
 
 
 def without_differences(
-    programs: Any, quantities: Any, truth: Any, noises: Any, step: float, forward: bool
+    programs: Any, quantities: Any, truth: Any, noises: Any, step: float, forward: bool, tell: Any
 ) -> Any:
     """In place of `check._measure`: derivatives alone, for values are the same with texels held."""
     points = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in quantities]

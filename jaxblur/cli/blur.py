@@ -168,6 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.isolate and not isolation.in_child:
         return isolation.run(arguments)
     _check_plan(arguments)
+    _check_motion(arguments)
     _check_colors(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
@@ -334,6 +335,15 @@ def _check_plan(arguments: argparse.Namespace) -> None:
             option = f"--{name.replace('_', '-')}"
             reason = "--plan auto chooses that" if arguments.plan else "only --plan auto takes it"
             raise CommandError(f"{option}: {reason}; leave out one of the two.")
+
+
+def _check_motion(arguments: argparse.Namespace) -> None:
+    """Reject a shutter that leaves every frame sharp where motion is required."""
+    if arguments.require_motion and arguments.shutter == 0:
+        raise CommandError(
+            "--require-motion: at --shutter 0 nothing moves; give an exposure above 0, or leave "
+            "out one of the two."
+        )
 
 
 def _check_colors(arguments: argparse.Namespace) -> None:

@@ -195,6 +195,13 @@ def complete(
             f"--{option}: {info.name} has no such choice; leave it out, or pass --filter "
             "guertin2014."
         )
+    if isinstance(usual, GuertinSettings) and given.get("dominant", usual.dominant) != "soft":
+        if "temperature" in given:
+            raise CommandError(
+                "--temperature: is that of --dominant soft; pass that too, or leave it out."
+            )
+        # The temperature of fitted settings goes with their smooth maximum.
+        given["temperature"] = GuertinSettings.temperature
     settings = dataclasses.replace(usual, **given)
     if info.check is not None:
         info.check(settings)

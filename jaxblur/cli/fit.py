@@ -169,11 +169,12 @@ def run(arguments: argparse.Namespace) -> int:
     state = arguments.output.with_suffix(".state.npz")
     _check_state(arguments, state)
 
-    LOG.info("starting; stages: compiling, scanning for a start, descent, scoring, standard errors")
     start_jax(not arguments.no_compile_cache)
     import jax
 
-    from jaxblur.fitting import fit
+    from jaxblur.fitting import STAGES, fit
+
+    LOG.info("starting; stages: %s", ", ".join(STAGES))
 
     with stages() as shown:
         result = fit(

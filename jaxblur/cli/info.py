@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import pathlib
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,7 +24,7 @@ from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
 from .filtering import DEFAULT_FILTER
 from .sequence import FAILED, frames_on_disk
-from .sources import add_vector_options
+from .sources import add_channel_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 
@@ -34,7 +35,12 @@ def add_parser(commands: Any) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_presets
     parser.add_argument(
-        "files", type=file_path, nargs="+", metavar="file", help="image file, or name.####.exr"
+        "files",
+        type=file_path,
+        nargs="+",
+        metavar="file",
+        help="image file, or name.####.exr; a file with the same channels and sizes as the one "
+        "before takes one line",
     )
     parser.add_argument("--json", action="store_true", help="print a JSON object for each file")
     parser.add_argument(
@@ -46,6 +52,8 @@ def add_parser(commands: Any) -> None:
         f"{DEFAULT_FILTER} takes by default)",
     )
     add_vector_options(parser)
+    group = parser.add_argument_group("where color and depth are, as in `jaxblur blur`")
+    add_channel_options(group)
     isolation.add_options(parser, memory=4096, seconds=120)
 
 
@@ -53,13 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     """List files, one after the other; see `add_parser`."""
     files = _files(arguments.files)
     if len(files) == 1:
-        return _list(_about(arguments, files[0]))
-    status = 0
-    for number, file in enumerate(files):
-        if number and not arguments.json:
-            print_line()
+        return _list(_about(arguments, files[0]), _Before())
+    status, before = 0, _Before()
+    for file in files:
         try:
-            if _list(_about(arguments, file)):
+            if _list(_about(arguments, file), before):
                 status = FAILED
         except Exception as error:
             if not is_foreseeable(error):
@@ -91,45 +97,103 @@ def _about(arguments: argparse.Namespace, file: pathlib.Path) -> argparse.Namesp
     return argparse.Namespace(**vars(arguments) | own)
 
 
-def _list(arguments: argparse.Namespace) -> int:
-    """List one file."""
+@dataclasses.dataclass
+class _Before:
+    """What was printed before a file, of several.
+
+    Attributes:
+        path: of the last file that was listed in full.
+        kind: what it held, for comparison.
+        is_line: whether the last listing was one line.
+        is_first: whether nothing was printed.
+    """
+
+    path: str = ""
+    kind: Any = None
+    is_line: bool = False
+    is_first: bool = True
+
+
+def _list(arguments: argparse.Namespace, before: _Before) -> int:
+    """List one file: in one line if it holds the same as the last one that was listed in full."""
     from jaxblur import exr
 
     if arguments.isolate and not isolation.in_child:
+        _separate(arguments, before, as_line=False)
         return isolation.run(arguments)
     info = exr.inspect(arguments.file)
     if isolation.declares_too_much(info) and not isolation.in_child and os.name != "nt":
+        _separate(arguments, before, as_line=False)
         return isolation.run(arguments)
     bad = {name: count for name, count in exr.count_not_finite(info.path).items() if count}
     motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
+    shown_as = _shown_as(info, picture)
     if arguments.json:
         listing: dict[str, Any] = {"path": info.path, "views": list(exr.views_of(info))}
         listing["parts"] = [_as_json(part) for part in info.parts]
-        if picture["color"]["channels"]:
-            listing["shown_as"] = _shown_as(info, picture)
+        if shown_as:
+            listing["shown_as"] = shown_as
         print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
-    else:
-        print_line(info.path)
-        _print_parts(info)
-        _print_not_finite(bad)
-        print_line()
-        if views := exr.views_of(info):
-            print_line(f"views: {', '.join(views)}; --layer chooses one, {views[0]} is the default")
-        for what, found in picture.items():
-            channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
-            print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
-        if picture["color"]["channels"]:
-            print_line(f"shown as: {_shown_as(info, picture)}")
-        _print_motion(motion)
-        _explain_radius(motion, arguments.radius)
+        return 0
+    kind = _kind(info, picture, motion, shown_as)
+    _separate(arguments, before, as_line=kind == before.kind)
+    if kind == before.kind:
+        _print_as_line(info.path, before.path, motion, bad)
+        return 0
+    before.path, before.kind = info.path, kind
+    print_line(info.path)
+    _print_parts(info)
+    _print_not_finite(bad)
+    print_line()
+    if views := exr.views_of(info):
+        print_line(f"views: {', '.join(views)}; --layer chooses one, {views[0]} is the default")
+    for what, found in picture.items():
+        channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
+        print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
+    if shown_as:
+        print_line(f"shown as: {shown_as}")
+    _print_motion(motion)
+    _explain_radius(motion, arguments.radius)
     return 0
 
 
+def _separate(arguments: argparse.Namespace, before: _Before, as_line: bool) -> None:
+    """Print an empty line between listings, but not between those of one line."""
+    if not (before.is_first or arguments.json or (as_line and before.is_line)):
+        print_line()
+    before.is_first, before.is_line = False, as_line
+
+
+def _kind(info: Any, picture: dict[str, Any], motion: dict[str, Any], shown_as: str) -> Any:
+    """What frames of one shot have in common: everything that is printed but for the numbers."""
+    parts = [dataclasses.replace(part, attributes={}) for part in info.parts]
+    meaning = {name: value for name, value in motion.items() if name != "speeds"}
+    return parts, picture, meaning, shown_as
+
+
+def _print_as_line(path: str, model: str, motion: dict[str, Any], bad: dict[str, int]) -> None:
+    """Print how a file differs from another one with the same channels."""
+    words = [f"{path}: as {os.path.basename(model)}"]
+    if speeds := motion.get("speeds"):
+        fast = speeds["percentiles"]
+        words.append(
+            f"half-spread median {fast[50.0]:.2f}, max {fast[100.0]:.2f} px, "
+            f"{100 * speeds['zero_share']:.2f} % zero, "
+            f"{100 * speeds['beyond_share']:.2f} % beyond {speeds['radius']:g} px"
+        )
+    if bad:
+        counts = ", ".join(f"{name} ({count} pixels)" for name, count in bad.items())
+        words.append(f"NaN or infinity in {counts}")
+    print_line("; ".join(words))
+
+
 def _shown_as(info: Any, picture: dict[str, Any]) -> str:
-    """How previews convert the colors, or why they cannot."""
+    """How previews convert the colors, or why they cannot; nothing without colors."""
     from jaxblur import exr
 
+    if not picture["color"]["channels"]:
+        return ""
     try:
         return exr.conversion_of(info, picture["color"]["channels"][0]).words
     except ValueError as error:
@@ -159,24 +223,30 @@ def _picture(info: Any, arguments: argparse.Namespace, vectors: Sequence[str]) -
 
     found, prefix = {}, ""
     try:
-        group = exr.choose_color(info, arguments.layer)
+        group = exr.choose_color(info, arguments.layer, arguments.color_channels)
         found["color"], prefix = {"channels": list(group.channels)}, group.prefix
     except exr.JaxblurIOError as error:
-        found["color"] = _nothing(error)
+        if arguments.color_channels:
+            raise
+        found["color"] = {"channels": [], "reason": _advice(error.reason, arguments)}
     try:
-        depth = exr.choose_depth(info, arguments.layer, None, prefix, vectors)
+        depth = exr.choose_depth(info, arguments.layer, arguments.depth_channel, prefix, vectors)
         found["depth"] = {"channels": [depth]}
     except exr.JaxblurIOError as error:
-        found["depth"] = _nothing(error)
+        if arguments.depth_channel:
+            raise
+        found["depth"] = {"channels": [], "reason": _advice(error.reason, arguments)}
     return found
 
 
-def _nothing(error: Any) -> dict[str, Any]:
-    """No channels, and why; in the option names of `blur`."""
-    options: dict[str, Any] = dict.fromkeys(
-        ("color_channels", "depth_channel", "depth_from", "depth")
-    )
-    return {"channels": [], "reason": in_option_names(error.reason, options)}
+def _advice(reason: str, arguments: argparse.Namespace) -> str:
+    """A reason in the names of options, with a note of those that only `blur` has."""
+    of_blur = dict.fromkeys(("velocity_from", "depth_from", "depth"))
+    words = in_option_names(reason, vars(arguments) | of_blur)
+    flags = [f"--{name.replace('_', '-')}" for name in of_blur]
+    used = [flag for flag in flags if re.search(rf"{flag}(?![\w-])", words)]
+    note = f" ({' and '.join(used)}: of `jaxblur blur`)" if used else ""
+    return words.removesuffix(".") + note + "."
 
 
 def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -190,7 +260,7 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
     except exr.JaxblurIOError as error:
         if arguments.preset != "auto" or arguments.velocity_channels:
             raise
-        return {"preset": None, "reason": in_option_names(error.reason, vars(arguments))}
+        return {"preset": None, "reason": _advice(error.reason, arguments)}
     reason = guess.reason + _borrowed(info, arguments, guess.channels)
     found = {"preset": guess.preset.name, "channels": guess.channels, "reason": reason}
     missing = _missing_option(guess.preset, arguments)

@@ -145,7 +145,7 @@ class Stages(Protocol):
     """Shows work that is done in stages."""
 
     def stage(self, name: str, done: int, total: int) -> None:
-        """Show that a stage begins, with ``done`` 0, or how many of its parts are done."""
+        """Show that a stage begins, if its name is another, and how many of its parts are done."""
 
     def detail(self, text: str) -> None:
         """Show something about the present stage: a line, or the text before its bar."""
@@ -183,7 +183,7 @@ class _Lines:
 
     def stage(self, name: str, done: int, total: int) -> None:
         self._parts = f" {done} of {total}" if total > 1 else ""
-        if done == 0:
+        if name != self._name:
             self._name, self._began = name, time.monotonic()
             self._say(name)
         elif self._idle() > SECONDS_BETWEEN_LINES:
@@ -226,11 +226,11 @@ def _bars() -> Iterator[Stages]:
             self._name = "starting"
 
         def stage(self, name: str, done: int, total: int) -> None:
-            if done == 0:
+            if name != self._name:
                 self._close()
                 self._name = name
                 self._task = self._bar.add_task(name, total=total if total > 1 else None)
-            else:
+            if done:
                 self._bar.update(self._task, completed=done, total=total)
 
         def detail(self, text: str) -> None:

@@ -50,6 +50,12 @@ def add_max_displace(parser: Any) -> None:
     )
 
 
+def add_channel_options(group: Any) -> None:
+    """Add the options that name the channels of color and depth."""
+    group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
+    group.add_argument("--depth-channel", metavar="NAME")
+
+
 def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> Any:
     """Add the options, for `read`.
 
@@ -61,11 +67,10 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
         Their group.
     """
     group = parser.add_argument_group("where color, vectors and depth are")
-    group.add_argument("--color-channels", type=channel_names, metavar="R,G,B[,A]")
+    add_channel_options(group)
     files: dict[str, Any] = {"nargs": "+", "help": of_many} if of_many else {"type": file_path}
     for name in ("--velocity-from", "--depth-from"):
         group.add_argument(name, metavar="FILE", **files)
-    group.add_argument("--depth-channel", metavar="NAME")
     group.add_argument(
         "--depth",
         default="auto",

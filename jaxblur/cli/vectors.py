@@ -3,7 +3,9 @@
 import argparse
 import dataclasses
 import json
+import os
 import shlex
+from collections.abc import Sequence
 from typing import Any
 
 from .arguments import (
@@ -35,8 +37,10 @@ def add_parser(commands: Any) -> None:
         "displace -1 to 1 over --max-displace. The span is the time in frames that vectors cover."
     )
     parser.add_argument("file", type=file_path, help="frame with motion vectors")
+    parser.instead_of_more = _next_as_option
+    # `run` demands it: the parser would, before it names a second file without the option.
     parser.add_argument(
-        "--next", type=file_path, required=True, metavar="FILE", help="the following frame"
+        "--next", type=file_path, metavar="FILE", help="the following frame (required)"
     )
     parser.add_argument(
         "--velocity-channels",
@@ -79,9 +83,28 @@ def is_explained(ranking: Any) -> bool:
     return ranking.candidates[0].error <= EXPLAINED * ranking.still_error
 
 
+def _next_as_option(given: Sequence[str], left: Sequence[str]) -> str:
+    """How to give the following frame."""
+    return f"`jaxblur vectors` takes one frame, and the following one as --next {left[-1]}"
+
+
+def _check_next(arguments: argparse.Namespace) -> None:
+    """Reject a missing following frame, and the frame itself in its place."""
+    if arguments.next is None:
+        raise CommandError("--next: is missing; give the frame that follows.")
+    if arguments.next.exists() and arguments.file.exists():
+        if os.path.samefile(arguments.next, arguments.file):
+            raise CommandError(
+                f"--next: {arguments.next} is the frame itself; give the frame that follows."
+            )
+
+
 def _rank(arguments: argparse.Namespace) -> Any:
+    import numpy as np
+
     from jaxblur import exr, vectors
 
+    _check_next(arguments)
     info = exr.inspect(arguments.file)
     names = arguments.velocity_channels or _recognized(info, arguments.layer)
     if len(names) % 2:
@@ -94,6 +117,11 @@ def _rank(arguments: argparse.Namespace) -> Any:
         raise CommandError(
             f"{arguments.next}: {_size(following)}, but {arguments.file} has {_size(now)}; give "
             "two frames of one sequence."
+        )
+    if np.array_equal(now, following):
+        raise CommandError(
+            f"{arguments.next}: has the same picture as {arguments.file}, so that nothing moves "
+            "from one to the other; give the following frame."
         )
     raw = exr.read_channels(arguments.file, names)
     if now.shape != following.shape:
@@ -116,6 +144,9 @@ def _recognized(info: Any, layer: str | None) -> list[str]:
     try:
         return list(exr.choose_vectors(info, "auto", layer).channels)
     except exr.JaxblurIOError as error:
+        if not isinstance(error.__cause__, ValueError):
+            # There is no such layer.
+            raise
         found = error.reason.partition(";")[0]
         raise CommandError(f"{info.path}: {found}; name them with --velocity-channels.") from error
 

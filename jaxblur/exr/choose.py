@@ -1,12 +1,13 @@
 """Choose the color, depth and vector channels of a file by their names."""
 
 import dataclasses
+import difflib
 from collections.abc import Mapping, Sequence
 
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError
 
-from .files import FileInfo
+from .files import FileInfo, Part
 
 # Names of layers that hold the picture, the clearest first; the empty name is the root layer.
 COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "finalimage")
@@ -27,8 +28,8 @@ class ColorGroup:
     """The color channels of a file.
 
     Attributes:
-        prefix: part of the name before the component, with its dot and without a view of
-            single-part stereo; empty at the root.
+        prefix: part of the name before the component, with its dot and without a view; empty at
+            the root.
         channels: full names in the order R, G, B, A or Y, A, or as given.
         alpha: full name of the alpha channel, or None.
     """
@@ -39,17 +40,27 @@ class ColorGroup:
 
 
 def views_of(info: FileInfo) -> tuple[str, ...]:
-    """List the views of single-part stereo, the default view first.
+    """List the views of a stereo file, the default view first.
 
     Args:
         info: listing of the file.
 
     Returns:
-        Names from the attribute ``multiView``; empty if the file has none.
+        Names from the attribute ``multiView`` of a single part, or from the attributes ``view`` of
+        several parts, in their order; empty if the file has none.
     """
-    found = info.parts[0].attributes.get("multiView", ()) if len(info.parts) == 1 else ()
+    first, *others = info.parts
+    if others:
+        return tuple(dict.fromkeys(filter(None, map(_view_of_part, info.parts))))
+    found = first.attributes.get("multiView", ())
     names = (found,) if isinstance(found, str) else found
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
+
+
+def _view_of_part(part: Part) -> str:
+    """Return the view of a part of several, empty if it belongs to none in particular."""
+    view = part.attributes.get("view")
+    return view if isinstance(view, str) else ""
 
 
 def borrowed_from(info: FileInfo, layer: str | None, names: Sequence[str]) -> str:
@@ -64,22 +75,25 @@ def borrowed_from(info: FileInfo, layer: str | None, names: Sequence[str]) -> st
         Half a sentence, or nothing if the channels are those of the view.
     """
     views = views_of(info)
-    if layer not in views or all(_view(name, views) == layer for name in names):
+    if layer not in views or all(_view(info, name) == layer for name in names):
         return ""
     default = views[0]
-    if layer == default and not any(_view(name, views) for name in names):
+    if layer == default and not any(_view(info, name) for name in names):
         return ""
     return f"view {layer} has none of its own, so {', '.join(names)} of view {default} is used"
 
 
-def _view(name: str, views: Sequence[str]) -> str:
+def _view(info: FileInfo, name: str) -> str:
     """Return the view of a channel, empty if it belongs to none in particular.
 
     Source: the rules of OpenEXR's ImfMultiView: the view stands before the component, and channels
     without any layer belong to the default view. Here the view may stand anywhere before the
-    component, since not every program that writes such files keeps to the rules.
+    component, since not every program that writes such files keeps to the rules. Where there are
+    several parts, each names its view.
     """
-    layers = name.split(".")[:-1]
+    if len(info.parts) > 1:
+        return _view_of_part(info.parts[info.channel(name).part])
+    layers, views = name.split(".")[:-1], views_of(info)
     if not layers:
         return views[0]
     return next((view for view in reversed(layers) if view in views), "")
@@ -105,20 +119,35 @@ def _scope(info: FileInfo, layer: str | None, shared: bool = False) -> dict[str,
     if views:
         wanted = layer if layer in views and not shared else views[0]
         allowed = (wanted, "") if wanted == views[0] else (wanted,)
-        plain = {
-            _without_view(name, views): name for name in names if _view(name, views) in allowed
-        }
+        plain = {_without_view(info, name): name for name in names if _view(info, name) in allowed}
     if layer is not None and layer not in views:
         plain = {short: name for short, name in plain.items() if f".{layer}." in f".{short}"}
     if not plain:
         listing = vectors.describe_names(names)
-        raise JaxblurIOError(info.path, f"no layer {layer!r}; the file holds {listing}.")
+        raise JaxblurIOError(
+            info.path,
+            f"no layer {layer!r}{_nearest_layer(layer, names)}; the file holds {listing}.",
+        )
     return plain
 
 
-def _without_view(name: str, views: Sequence[str]) -> str:
+def _nearest_layer(layer: str | None, names: Sequence[str]) -> str:
+    """Suggest the layer whose name is nearest, or nothing."""
+    paths = [name.split(".")[:-1] for name in names]
+    known = {
+        ".".join(path[begin:end])
+        for path in paths
+        for end in range(1, len(path) + 1)
+        for begin in range(end)
+    }
+    lowered = {name.lower(): name for name in sorted(known)}
+    near = difflib.get_close_matches(str(layer).lower(), lowered, n=1)
+    return f" (did you mean {lowered[near[0]]!r}?)" if near else ""
+
+
+def _without_view(info: FileInfo, name: str) -> str:
     *layers, component = name.split(".")
-    view = _view(name, views)
+    view = _view(info, name)
     return ".".join((*(layer for layer in layers if layer != view), component))
 
 
@@ -198,8 +227,26 @@ def choose_vectors(
                 )
             return vectors.assign_channels(preset, names)
         return _choose_vectors(_scopes(info, layer), preset)
+    except vectors.NoVectorsError as error:
+        raise JaxblurIOError(info.path, f"{_elsewhere(info, layer, preset)}{error}") from error
     except ValueError as error:
         raise JaxblurIOError(info.path, str(error)) from error
+
+
+def _elsewhere(info: FileInfo, layer: str | None, preset: str) -> str:
+    """Say that vectors are in another layer than the one asked for, and what to do, or nothing."""
+    if layer is None:
+        return ""
+    try:
+        found = _choose_vectors(_scopes(info, None), preset).channels
+        color = choose_color(info, layer).channels
+    except (ValueError, JaxblurIOError):
+        return ""
+    return (
+        f"layer {layer!r} has no vectors of its own, and the file has {', '.join(found)}; to blur "
+        f"this layer by those, give its color as `color_channels`, {', '.join(color)}, in place of "
+        "`layer`; or else: "
+    )
 
 
 def _choose_vectors(scopes: Sequence[dict[str, str]], preset: str) -> vectors.Guess:

@@ -39,6 +39,8 @@ _NEAR = 1e-3
 """Programs round chromaticities to three digits."""
 # What some readers and programs write where nothing is known.
 _NOT_SAID = ("", "unknown", "data", "raw", "none", "linear", "scene_linear")
+_LINEAR = "linear sRGB"
+"""The name, in words, of all of the following."""
 _SAME = (LINEAR_SRGB, "lin_rec709", "lin_srgb", "Linear Rec.709 (sRGB)")
 
 
@@ -64,9 +66,9 @@ class Conversion:
     @property
     def words(self) -> str:
         """The conversion in one line, such as ``ACEScg (chromaticities) to sRGB``."""
-        start = "linear sRGB (the file names no color space)"
+        start = f"{_LINEAR} (the file names no color space)"
         if self.space is not None:
-            name = self.space if self.is_identity else self._spaces()[1]
+            name = _LINEAR if self.space in _SAME else self._spaces()[1]
             start = f"{name} ({self.source})"
         if self.is_identity:
             return f"{start} to sRGB"

@@ -67,9 +67,7 @@ def _last_row_is_there(temporary: str) -> bool:
             last += 1
         source.seek_subimage(last, 0)
         spec = source.spec()
-        if spec.deep:
-            found = source.read_native_deep_image(last, 0)
-        elif spec.tile_width:
+        if spec.tile_width:
             found = source.read_image(last, 0, 0, spec.nchannels, "native")
         else:
             end = spec.y + spec.height

@@ -347,7 +347,7 @@ def _mended_part(
     """Report NaN and infinity in a part that is copied; return its pixels if they were repaired."""
     part = info.parts[plan.part]
     kinds = {channel.type for channel in part.channels}
-    if part.deep or not kinds & {"half", "float"}:
+    if not kinds & {"half", "float"}:
         return None
     try:
         pixels = read_span(source, info, plan.part, 0, len(part.channels), "float")
@@ -424,7 +424,11 @@ def _not_copied(path: PathLike, info: FileInfo, part: int, why: str) -> JaxblurI
 
 
 def _refuse_deep(path: PathLike, info: FileInfo, extra: str) -> None:
-    """Refuse what OpenImageIO cannot write: deep parts in one file with a flat picture."""
+    """Refuse what OpenImageIO cannot write: deep parts in one file with a flat picture.
+
+    So nothing deep is ever written, which OpenImageIO would store with zips, unasked, where a model
+    has zstd or htj2k.
+    """
     deep = next((index for index, part in enumerate(info.parts) if part.deep), None)
     if deep is not None and extra == "keep":
         raise JaxblurIOError(

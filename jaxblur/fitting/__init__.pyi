@@ -1,4 +1,5 @@
 from .descent import (
+    STAGES as STAGES,
     Progress as Progress,
     Stage as Stage,
     default_optimizer as default_optimizer,

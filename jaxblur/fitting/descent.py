@@ -17,6 +17,7 @@ import optax
 from jaxtyping import Array, Float
 
 from .._util.atomic import replacing
+from .._util.stages import Stage as Stage
 from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
 from .priors import Prior
@@ -32,8 +33,8 @@ class Progress:
     Attributes:
         step: number of steps done, from 1.
         steps: number of steps asked for.
-        loss: before the step.
-        parameters: fitted parameters after the step.
+        loss: at ``parameters``.
+        parameters: from which the step was taken; the next `Progress` has those after it.
     """
 
     step: int
@@ -42,27 +43,11 @@ class Progress:
     parameters: dict[str, float]
 
 
-@dataclasses.dataclass(frozen=True)
-class Stage:
-    """The argument of ``on_stage``: what a fit is doing.
-
-    Attributes:
-        name: ``compiling``, ``scanning for a start``, ``descent``, ``Newton steps``, ``scoring``,
-            ``standard errors`` or ``profiles``.
-        done: number of its parts that are done; 0 when it begins.
-        total: number of its parts, at most: a stage may end earlier.
-    """
-
-    name: str
-    done: int
-    total: int
-
-
-Tell = Callable[[Stage], None]
-
-
-def untold(stage: Stage) -> None:
-    """Report a stage to nobody."""
+STAGES = (
+    *("compiling", "scanning for a start", "descent", "second scan", "second descent"),
+    *("Newton steps", "scoring", "standard errors", "profiles"),
+)
+"""Stages of a fit, in order; one with fresh noise has no Newton steps."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,9 +179,10 @@ def descend(
         for step in range(len(state.losses), steps if until is None else until):
             if plateau.reached(state):
                 break
+            before = state.free
             state = _take_step(task, state, step, update)
             if callback is not None:
-                parameters = task.parameters(state.free)
+                parameters = task.parameters(before)
                 callback(Progress(step + 1, steps, state.losses[-1], parameters))
             if save is not None and time.monotonic() - saved > SAVE_EVERY:
                 save(state)

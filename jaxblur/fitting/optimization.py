@@ -17,8 +17,9 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
+from .._util.stages import Stage, Tell, untold
 from .constraints import constraints_of
-from .descent import NEVER, Plateau, Progress, Stage, State, Task, Tell, descend, untold
+from .descent import NEVER, Plateau, Progress, State, Task, descend
 from .sensitivity import difference_hessian
 
 OFFSETS = (-3.0, -1.5, 1.5, 3.0)
@@ -28,7 +29,9 @@ WORTHWHILE = 0.002
 """Least share of the loss that a scanned value must save; less may lead onto a plateau."""
 SECOND_SCAN = 1 / 3
 """Share of the steps after which the scan is repeated."""
-ROUNDS = 4
+ROUNDS = (("scanning for a start", "descent"), ("second scan", "second descent"))
+"""Stages of the two rounds of scan and descent."""
+NEWTON_STEPS = 4
 LONGEST = 1.0
 SHARES = (1.0, 0.5, 0.25, 0.1)
 
@@ -65,15 +68,19 @@ def optimize(
     def on_step(progress: Progress) -> None:
         if callback is not None:
             callback(progress)
-        tell(Stage("descent", progress.step, steps))
+        tell(Stage(descent, progress.step, steps))
 
+    descent = ""
     try:
         tell(Stage("compiling", 0, 1))
         task.evaluate(state.free, task.noise_key(0))[0].block_until_ready()
         tell(Stage("compiling", 1, 1))
-        for scans, until in enumerate((round(SECOND_SCAN * steps), steps)):
+        # A resumed fit may have the first round behind it.
+        for scans in range(max(state.scans - 1, 0), len(ROUNDS)):
+            until = (round(SECOND_SCAN * steps), steps)[scans]
+            scan, descent = ROUNDS[scans]
             if state.scans == scans and len(state.losses) <= until:
-                free = scan_start(task, state.free, tell)
+                free = scan_start(task, state.free, tell, scan)
                 moved = bool((free != state.free).any())
                 state = dataclasses.replace(
                     state,
@@ -82,7 +89,7 @@ def optimize(
                     scans=scans + 1,
                     scanned=len(state.losses),
                 )
-            tell(Stage("descent", len(state.losses), steps))
+            tell(Stage(descent, len(state.losses), steps))
             state, interrupted = descend(
                 task, state, steps, optimizer, on_step, save, until, plateau
             )
@@ -119,7 +126,7 @@ def settle(task: Task, state: State, plateau: Plateau) -> Float[Array, " names"]
 
 
 def scan_start(
-    task: Task, free: Float[Array, " names"], tell: Tell = untold
+    task: Task, free: Float[Array, " names"], tell: Tell = untold, stage: str = ROUNDS[0][0]
 ) -> Float[Array, " names"]:
     """Move a start along each parameter in turn to the best of a few values.
 
@@ -127,20 +134,21 @@ def scan_start(
         task: the fit; the noise of its first step is used throughout.
         free: the start.
         tell: called after each value.
+        stage: its name.
 
     Returns:
         A start with no larger loss.
     """
     key = task.noise_key(0)
     total, done = SWEEPS * free.size * len(OFFSETS), 0
-    tell(Stage("scanning for a start", 0, total))
+    tell(Stage(stage, 0, total))
     best, least = free, float(task.evaluate(free, key)[0])
     for _ in range(SWEEPS):
         before = least
         for index in range(free.size):
             for candidate in [best.at[index].add(offset) for offset in OFFSETS]:
                 done += 1
-                tell(Stage("scanning for a start", done, total))
+                tell(Stage(stage, done, total))
                 if _at_end(task, candidate, index):
                     continue
                 loss = float(task.evaluate(candidate, key)[0])
@@ -170,8 +178,8 @@ def polish(task: Task, free: Float[Array, " names"], tell: Tell = untold) -> Flo
     """
     key = task.noise_key(0)
     loss, gradient = task.evaluate(free, key)
-    for step in range(ROUNDS):
-        tell(Stage("Newton steps", step, ROUNDS))
+    for step in range(NEWTON_STEPS):
+        tell(Stage("Newton steps", step, NEWTON_STEPS))
         hessian = difference_hessian(lambda point: np.asarray(task.evaluate(point, key)[1]), free)
         step = _newton_step(hessian, np.asarray(gradient, np.float64))
         for share in SHARES:

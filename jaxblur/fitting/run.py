@@ -16,6 +16,7 @@ import optax
 
 import jaxblur
 
+from .._util.stages import Stage, Tell, untold
 from ..filters.registry import FilterInfo, filter_info
 from ..frame import Frame
 from ..settings import Settings, checked_settings
@@ -23,15 +24,12 @@ from .constraints import starting_values, to_free, to_values
 from .descent import (
     Plateau,
     Progress,
-    Stage,
     State,
     Task,
-    Tell,
     default_optimizer,
     fingerprint,
     load_state,
     save_state,
-    untold,
 )
 from .evaluation import evaluate
 from .losses import Over, Pixel, check_loss

@@ -35,8 +35,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._util.stages import Stage, Tell, untold
 from .constraints import constraints_of, to_free, to_values
-from .descent import Stage, Task, Tell, untold
+from .descent import Task
 from .objective import blocks_and_gradients
 from .result import Sensitivity
 

@@ -6,7 +6,7 @@ after the other, with `sum_samples` in the middle.
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from ..settings import Backend
 from .cpp import native_gather
+from .operators import Operator
 from .sums import Plan, no_terms, on_cpu, replaced, sum_samples
 from .tracing import Grid, Place, Stages
 
@@ -49,6 +50,27 @@ def run_stages(
     plan = Plan(sample, stages.limit, stages.samples, backend, grid, len(local))
     leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
     return _gather(plan, stages, kept, leaves)
+
+
+class _Gather(NamedTuple):
+    """The static part of a run: operands are the leaves, then the image kept, if there is one."""
+
+    plan: Plan
+    stages: Stages
+    leaves: int
+
+    def split(self, operands: Sequence[Any]) -> tuple[list[Any], Any]:
+        """Operands as leaves and the image kept."""
+        leaves, images = list(operands[: self.leaves]), operands[self.leaves :]
+        return leaves, (images[0] if images else None)
+
+
+def _gather(
+    plan: Plan, stages: Stages, kept: jax.Array | None, leaves: Sequence[jax.Array]
+) -> jax.Array:
+    """The results."""
+    images = () if kept is None else (kept,)
+    return _gather_operator(_Gather(plan, stages, len(leaves)), (*leaves, *images))[0]
 
 
 def cond_of_values(
@@ -115,26 +137,21 @@ def _batch_first(result: jax.Array) -> jax.Array:
     return result.T.T
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _gather(
-    plan: Plan, stages: Stages, kept: jax.Array | None, leaves: list[jax.Array]
-) -> jax.Array:
+def _gathered(static: _Gather, operands: Sequence[jax.Array]) -> list[jax.Array]:
     """The results, without derivatives."""
+    plan, stages, count = static
+    leaves, kept = static.split(operands)
     channels = 0 if kept is None else kept.shape[-1]
     native = native_gather(stages, leaves, plan.locals, plan.grid, plan.backend, channels)
-    count, images = len(leaves), [] if kept is None else [kept]
 
     def by_stages(backend: Backend, *operands: jax.Array) -> jax.Array:
         wanted, results = _by_stages(plan._replace(backend=backend), stages, operands[:count])
         return _select(wanted, results, *operands[count:])
 
     if native is None:
-        return by_stages(plan.backend, *leaves, *images)
-    return on_cpu(
-        lambda *operands: native(*operands)[0],
-        functools.partial(by_stages, "xla"),
-        *(*leaves, *images),
-    )
+        return [by_stages(plan.backend, *operands)]
+    other = functools.partial(by_stages, "xla")
+    return [on_cpu(lambda *operands: native(*operands)[0], other, *operands)]
 
 
 def _select(wanted: jax.Array, results: jax.Array, kept: jax.Array | None = None) -> jax.Array:
@@ -255,17 +272,17 @@ def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Callable
 
 
 def _gather_jvp(
-    plan: Plan, stages: Stages, primals: Any, tangents: Any
-) -> tuple[jax.Array, jax.Array]:
+    static: _Gather, primals: Any, tangents: Any
+) -> tuple[list[jax.Array], list[jax.Array]]:
     """Derivatives are those of the stages; only inputs with a tangent are differentiated."""
-    (kept, leaves), (kept_change, tangents) = primals, tangents
-    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    plan, stages, _ = static
+    (leaves, kept), (tangents, kept_change) = static.split(primals), static.split(tangents)
+    active = [k for k, tangent in enumerate(tangents) if tangent is not None]
     directions = [tangents[k] for k in active]
-    changes = kept is not None and not isinstance(kept_change, SymbolicZero)
     if all(leaves[k].ndim == 0 for k in active):
         values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
-        if not changes:
-            return values, change
+        if kept_change is None:
+            return [values], [change]
         wanted = stages.where(plan.grid.place(), *plan.operands(leaves))[0]
     else:
 
@@ -278,9 +295,9 @@ def _gather_jvp(
         )
         values = _select(wanted, values, kept)
     if kept is None:
-        return values, change
-    other = jnp.zeros_like(kept) if isinstance(kept_change, SymbolicZero) else kept_change
-    return values, _select(wanted, change, other)
+        return [values], [change]
+    other = jnp.zeros_like(kept) if kept_change is None else kept_change
+    return [values], [_select(wanted, change, other)]
 
 
 def _scalar_derivatives(
@@ -375,4 +392,4 @@ def _of_value(limit: Callable[..., Any], prepared: tuple[Any, Any]) -> Any:
     return limit(prepared[0])
 
 
-_gather.defjvp(_gather_jvp, symbolic_zeros=True)
+_gather_operator = Operator("run_stages", _gathered, _gather_jvp)

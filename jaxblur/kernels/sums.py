@@ -19,12 +19,12 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.core import ShapedArray
-from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from ..settings import Backend
 from .cpp import native_gather, native_pull
+from .operators import Operator
 from .tracing import Grid, Place, Stages
 
 Terms = tuple[jax.Array, ...]
@@ -110,13 +110,18 @@ def sum_samples(
     return _sum(plan, moving, [jnp.asarray(leaf) for leaf in (*local, *tables)])
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _sum(plan: Plan, moving: jax.Array, leaves: list[jax.Array]) -> Terms:
+def _sum(plan: Plan, moving: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
+    """The sums."""
+    return tuple(_sum_operator(plan, (moving, *leaves)))
+
+
+def _sums(plan: Plan, operands: Sequence[jax.Array]) -> Terms:
     """The sums, without derivatives."""
+    moving, *leaves = operands
     by_xla = functools.partial(_sum_by_xla, plan)
-    operands = [moving[..., None], *leaves]
+    images = [moving[..., None], *leaves]
     stages = _only(plan.sample, plan.limit, plan.samples)
-    native = native_gather(stages, operands, plan.locals + 1, plan.grid, plan.backend)
+    native = native_gather(stages, images, plan.locals + 1, plan.grid, plan.backend)
     if native is None:
         return by_xla(moving, *leaves)
     return on_cpu(native, by_xla, moving, *leaves)
@@ -195,8 +200,8 @@ def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[A
 
 def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     """Derivatives of the sums; only what has a tangent is differentiated."""
-    (moving, leaves), tangents = primals, tangents[1]
-    active = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, SymbolicZero)]
+    (moving, *leaves), tangents = primals, tangents[1:]
+    active = [k for k, tangent in enumerate(tangents) if tangent is not None]
     directions = [tangents[k] for k in active]
     if not active or (plan.samples > 1 and active[-1] < plan.locals):
         return _local_derivatives(plan, moving, leaves, active, directions)
@@ -204,7 +209,7 @@ def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     return _sum(plan, moving, leaves), tuple(change)
 
 
-_sum.defjvp(_sum_jvp, symbolic_zeros=True)
+_sum_operator = Operator("sum_samples", _sums, _sum_jvp)
 
 
 @functools.lru_cache(maxsize=512)
@@ -257,9 +262,23 @@ def _pushed(plan: Plan, active: Sequence[int], leaves: Any, directions: Any) -> 
     return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+class _Pull(NamedTuple):
+    """The static part of a transpose: of a plan, by the active leaves of a number of them."""
+
+    plan: Plan
+    active: tuple[int, ...]
+    leaves: int
+
+
 def _pull(plan: Plan, active: tuple[int, ...], moving: Any, leaves: Any, images: Any) -> Any:
     """The transpose of `_pushed`: from images to the active leaves."""
+    return _pull_operator(_Pull(plan, active, len(leaves)), (moving, *leaves, *images))
+
+
+def _pulled(static: _Pull, operands: Sequence[jax.Array]) -> Any:
+    """The same, without derivatives."""
+    plan, active, count = static
+    moving, leaves, images = operands[0], operands[1 : 1 + count], operands[1 + count :]
 
     def by_xla(_, *operands: jax.Array) -> tuple[jax.Array, ...]:
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
@@ -297,14 +316,21 @@ def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any)
     return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
 
 
-def _pull_jvp(plan: Plan, active: tuple[int, ...], primals: Any, tangents: Any) -> tuple[Any, Any]:
+def _pull_jvp(static: _Pull, primals: Any, tangents: Any) -> tuple[Any, Any]:
     """Second derivatives go through the scan."""
-    moving, *rest = primals
-    change = jax.jvp(functools.partial(_pulled_by_scan, plan, active), tuple(rest), tangents[1:])[1]
-    return _pull(plan, active, moving, *rest), change
+    plan, chosen, count = static
+    rest, tangents = list(primals[1:]), tangents[1:]
+    active = [k for k, tangent in enumerate(tangents) if tangent is not None]
+
+    def pulled(values: Any) -> Any:
+        every = replaced(rest, active, values)
+        return _pulled_by_scan(plan, chosen, every[:count], every[count:])
+
+    values, directions = [rest[k] for k in active], [tangents[k] for k in active]
+    return _pull_operator(static, primals), jax.jvp(pulled, (values,), (directions,))[1]
 
 
-_pull.defjvp(_pull_jvp)
+_pull_operator = Operator("pull_samples", _pulled, _pull_jvp)
 
 
 # `_pushed` as an operator that JAX knows to be linear in its directions.
