@@ -93,7 +93,7 @@ def intervals_of(slices: int) -> int:
     The middle of no slice is one of the times then, so that a reversed motion has the same pairs of
     them. A thing that is narrower along its motion than the way of an interval is missed in between.
     """
-    return slices if slices <= MOST_INTERVALS else MOST_INTERVALS
+    return min(slices, MOST_INTERVALS)
 
 
 def time_of(index: Array, intervals: int, like: Array) -> Array:
