@@ -260,7 +260,7 @@ def test_a_parameter_at_the_end_of_its_range_is_moved_inside():
     assert quantities["jitter"].move(0.02).parameters.jitter == pytest.approx(1)
     assert quantities["jitter"].at == pytest.approx(1 / 1.02)
     assert quantities["bend"].move(0.02).parameters.bend == 0.02
-    assert quantities["distinct"].move(0.02).parameters.distinct == pytest.approx(1.02)
+    assert quantities["distinct"].move(0.02).parameters.distinct == pytest.approx(8.16)
 
 
 def test_the_fastest_object_is_found(scene):

@@ -90,8 +90,8 @@ class Coding(NamedTuple):
 def intervals_of(slices: int) -> int:
     """The number of intervals into which the times of `owners_of` cut the exposure.
 
-    The middle of no slice is one of the times then, so that a reversed motion has the same pairs of
-    them. A thing that is narrower along its motion than the way of an interval is missed in between.
+    No slice has its middle at one of the times, so that a reversed motion has the same pairs of
+    them. What is narrower along its motion than the way of an interval is missed in between.
     """
     return min(slices, MOST_INTERVALS)
 
