@@ -382,7 +382,7 @@ class LayeredParameters:
         ends=("the jitter is switched off", ""),
     )
     distinct: float | jax.Array = parameter(
-        8.0,
+        20.0,
         above=0.0,
         meaning="difference from which two velocities count as two",
         unit="px",
