@@ -200,7 +200,7 @@ def coverage(shape, right=0.0, down=0.0):
     return np.mean(parts, axis=0)
 
 
-@pytest.mark.parametrize(("samples", "most"), [(35, 0.1), (105, 0.05)])
+@pytest.mark.parametrize(("samples", "most"), [(35, 0.12), (105, 0.08)])
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_an_element_with_alpha_blurs_without_a_frozen_outline(name, samples, most):
     shape, velocity = ELEMENTS[name]
