@@ -8,7 +8,7 @@ import zlib
 import pytest
 
 from jaxblur._util import cache
-from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_torn_entries, trim_cache
+from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_bad_entries, trim_cache
 from tests.command_line import spawn
 from tests.exr_files import CAR
 
@@ -135,14 +135,36 @@ def test_entries_that_were_not_written_completely_are_removed_once(home):
     }
     for name, data in entries.items():
         (folder / name).write_bytes(data)
-    remove_torn_entries()
+    remove_bad_entries()
     kept = {"jit_whole-1-cache", "jit_zstd-5-cache", "notes.txt", cache.CHECKED}
     assert {path.name for path in folder.iterdir()} == kept
     old = folder / "jit_whole-1-cache"
     old.write_bytes(whole[:5])
     os.utime(old, (1, 1))
-    remove_torn_entries()
+    remove_bad_entries()
     assert old.exists(), "each is read once"
+
+
+def test_links_in_the_place_of_entries_are_removed(home, tmp_path):
+    folder = private_folder()
+    planted = tmp_path / "planted"
+    planted.write_bytes(zlib.compress(b"x"))
+    (folder / "jit_link-1-cache").symlink_to(planted)
+    os.mkfifo(folder / "jit_pipe-2-cache")
+    remove_bad_entries()
+    assert [path.name for path in folder.iterdir()] == [cache.CHECKED] and planted.exists()
+
+
+@as_root
+def test_entries_of_another_user_are_removed_whenever_they_were_written(home):
+    folder = private_folder()
+    remove_bad_entries()
+    for name in ("jit_own-1-cache", "jit_planted-2-cache"):
+        (folder / name).write_bytes(zlib.compress(b"x"))
+        os.utime(folder / name, (1, 1))
+    os.chown(folder / "jit_planted-2-cache", STRANGER, STRANGER)
+    remove_bad_entries()
+    assert {path.name for path in folder.iterdir()} == {"jit_own-1-cache", cache.CHECKED}
 
 
 @pytest.mark.slow

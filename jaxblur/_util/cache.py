@@ -148,11 +148,14 @@ def trim_cache() -> None:
             checksum_file(path).unlink(missing_ok=True)
 
 
-def remove_torn_entries() -> None:
-    """Remove code that XLA compiled and that a killed process or a full disk left incomplete.
+def remove_bad_entries() -> None:
+    """Remove code that XLA compiled, or somebody else, and that jax must not load.
 
-    jax would warn of it in every run, and never replace it. An entry is read once, by the first run
-    after it was written. Those that jax has packed by zstd, not by zlib, are left alone.
+    - Entries that are no regular files of this user: left by another one while the folder was open
+      to others.
+    - Entries that a killed process or a full disk left incomplete: jax would warn of them in every
+      run, and never replace them. An entry is read once, by the first run after it was written.
+      Those that jax has packed by zstd, not by zlib, are left alone.
     """
     try:
         folder = private_folder()
@@ -164,8 +167,15 @@ def remove_torn_entries() -> None:
     for path in folder.glob("*-cache"):
         # Another process may remove it too.
         with contextlib.suppress(OSError):
-            if path.lstat().st_mtime >= since and _is_torn(path.read_bytes()):
+            status = path.lstat()
+            if _is_foreign(status) or (status.st_mtime >= since and _is_torn(path.read_bytes())):
                 path.unlink()
+
+
+def _is_foreign(status: os.stat_result) -> bool:
+    """Whether something is no regular file, or not of this user."""
+    is_own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    return not (stat.S_ISREG(status.st_mode) and is_own)
 
 
 def _is_torn(entry: bytes) -> bool:

@@ -6,7 +6,7 @@ import gc
 import logging
 import os
 
-from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_torn_entries, trim_cache
+from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_bad_entries, trim_cache
 
 from .interrupts import held_back
 
@@ -50,7 +50,7 @@ def start_jax(compile_cache: bool) -> None:
         keep_kernels(False)
         LOG.warning("no compile cache: %s; pass --no-compile-cache to silence this", error)
         return
-    remove_torn_entries()
+    remove_bad_entries()
     trim_cache()
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
