@@ -198,7 +198,8 @@ def test_half_a_pixel_of_motion_or_less_is_the_identity_bit_for_bit(name, speed,
 @pytest.mark.parametrize("tiles", [(2, 3), (1, 1)])
 def test_flips_and_transposes_commute(name, tiles):
     shape = tuple(6 * count for count in tiles)
-    frame = random_frame(shape, speed=4.0)
+    # Of points of the sky that meet, which layered does not order, a mirror image shows another.
+    frame = random_frame(shape, speed=4.0, sky=0.0)
     blurred = run(name, frame, STILL)
 
     def transformed(change_image, matrix):

@@ -65,7 +65,8 @@ def purest(motion, depth, color, separation, coverage):
             for a, b in AROUND
         ]
         own, taken = depth[row, column], motion[row, column].copy()
-        nearest = min(range(8), key=lambda k: depth[near[k]])
+        inside = [n == (row + a, column + b) for n, (a, b) in zip(near, AROUND, strict=True)]
+        nearest = min((k for k in range(8) if inside[k]), key=[depth[n] for n in near].__getitem__)
         if own - depth[near[nearest]] > 1 / separation:
             nearer = depth < own - 1 / separation
             share = share_of_nearer(color, nearer, row, column, AROUND[nearest])

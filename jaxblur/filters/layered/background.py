@@ -185,8 +185,8 @@ def _around(
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         return jnp.where(inside, row, at.row), jnp.where(inside, column, at.column), inside
 
-    def step(k: Array, distances: list[Array]) -> list[Array]:
-        tried = (k + 1).astype(own.x.dtype)
+    def step(k: Array | int, distances: list[Array]) -> list[Array]:
+        tried = jnp.asarray(k + 1, own.x.dtype)
         results = []
         for side, distance in zip(_SIDES, distances, strict=True):
             row, column, inside = places(side, tried)

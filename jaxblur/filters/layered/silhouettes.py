@@ -108,9 +108,11 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
 
     # The pixel's side: its own, or that of the nearest neighbor if its color is partly of that.
     nearest, covering = own_depth / step, jnp.zeros_like(own_depth)
-    for d, (down, right) in zip(depths, NEIGHBORS, strict=True):
-        covering = jnp.where(d < nearest, 4.0 * down + right, covering)
-        nearest = jnp.where(d < nearest, d, nearest)
+    for d, (row, column), (down, right) in zip(depths, near, NEIGHBORS, strict=True):
+        inside = (row == at.row + down) & (column == at.column + right)
+        covers = inside & (d < nearest)
+        covering = jnp.where(covers, 4.0 * down + right, covering)
+        nearest = jnp.where(covers, d, nearest)
     mixed = _share_of_nearer(at, images, own_depth / step, covering) > MIXED
     side_depth = jnp.where(mixed, nearest, own_depth)
     start = jnp.where(mixed, covering, 0)
@@ -126,8 +128,7 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
 
     # The mean velocity of the other side.
     across, down = taken_from(start)
-    row = jnp.clip(at.row + down.astype(jnp.int32), 0, images.depth.height - 1)
-    column = jnp.clip(at.column + across.astype(jnp.int32), 0, images.depth.width - 1)
+    row, column = at.row + down.astype(jnp.int32), at.column + across.astype(jnp.int32)
     own = _cut(_velocity(images.motion.read(row, column)))
     vectors = [_cut(_velocity(images.motion.read(*place))) for place in near]
     count = jnp.maximum(_count(apart, own[0]), 1)
