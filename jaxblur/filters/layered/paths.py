@@ -22,6 +22,9 @@ from .silhouettes import Motion, motion_of, taken_from
 
 Vector = tuple[Array, Array]
 
+TINY = 1e-6
+"""Pixels by which a path may end beyond the radius: shorter bends have no finite derivative."""
+
 
 class Path(NamedTuple):
     """The path of a pixel, the channels of one image.
@@ -82,7 +85,8 @@ def path_of_pixel(
     # A path ends within the radius.
     left = jnp.maximum(settings.radius - safe_norm(pixel.x, pixel.y), 0)
     length = safe_norm(x, y)
-    shorter = jnp.where(length > left, left / jnp.where(length > left, length, 1), 1)
+    too_long = (length > left) & (length > TINY)
+    shorter = jnp.where(too_long, left / jnp.where(too_long, length, 1), 1)
     return Outcome((pixel.x, pixel.y, pixel.log_depth, x * shorter, y * shorter))
 
 
