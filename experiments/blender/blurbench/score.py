@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+import jaxblur
 from experiments import common
 from experiments.blender.blurbench.cases import Case, find_cases
 from experiments.blender.blurbench.split import HALVES
@@ -34,8 +35,12 @@ def with_defaults(name: str) -> Method:
     return lambda case: info.call(case.frame, parameters, settings=settings)
 
 
-# A row more is one entry more, for instance of a method that uses neighbors:
-#     "with neighbors": lambda case: blur(case.frame, before=case.before, after=case.after),
+def with_neighbors(case: Case) -> Any:
+    """`layered`, given the frames before and after."""
+    parameters = jaxblur.LayeredParameters()
+    return jaxblur.layered(case.frame, parameters, before=case.before, after=case.after)
+
+
 METHODS: dict[str, Method] = {
     "unblurred": lambda case: case.frame.color,
     "pixel_velocity": with_defaults("pixel_velocity"),
@@ -43,6 +48,7 @@ METHODS: dict[str, Method] = {
     "guertin2014": with_defaults("guertin2014"),
     "Blender's Vector Blur": lambda case: case.vector_blur,
     "layered": with_defaults("layered"),
+    "layered, with neighbors": with_neighbors,
 }
 
 
