@@ -207,7 +207,7 @@ def guess(color, paths, depth, owner, at, times, parameters, settings):
     t, own_time = times
     way = paths[at if owner is None else owner]
     x, y = -t * way[:2] - own_time**2 * way[2:]
-    where, counts = at_texel(*at, x, y, depth.shape, settings["border"])
+    where, counts = at_texel(at[0], at[1], x, y, depth.shape, settings["border"])
     miss = np.array([x, y]) + t * paths[where][:2] + t * t * way[2:]
     apart = paths[where][:2] - way[:2]
     differs = max(
@@ -225,7 +225,7 @@ def guess(color, paths, depth, owner, at, times, parameters, settings):
 
 def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings):
     count, intervals = settings["samples"] // 3, len(owners) - 1
-    behind, known = background_of(color, paths, depth, owners, *at, parameters)
+    behind, known = background_of(color, paths, depth, owners, at[0], at[1], parameters)
     total, weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
         first = int((2 * i + 1) * (intervals / 2) / count)

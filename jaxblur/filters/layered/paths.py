@@ -125,7 +125,8 @@ def paths_of(
         (H, W, 5), see `Path`.
     """
     height, width = frame.depth.shape
-    motion = motion_of(frame, parameters.surface_sharpness, parameters.thin_coverage, settings)
+    limits = (jnp.asarray(p) for p in (parameters.surface_sharpness, parameters.thin_coverage))
+    motion = motion_of(frame, *limits, settings=settings)
     path = None if frame.path is None else Image(frame.path.reshape(height, width, 4))
     return each_pixel(
         *(path_of_pixel, (height, width), Images(Image(motion), path), parameters, settings),

@@ -131,7 +131,8 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
         offset_x = -time * way.x - squared * way.bend_x
         offset_y = -time * way.y - squared * way.bend_y
         texel = find_texel(at, offset_x, offset_y, images.color, settings)
-        point = Path(*images.paths.read_texel(texel.number, 3), way.bend_x, way.bend_y)
+        x, y, depth = images.paths.read_texel(texel.number, 3)
+        point = Path(x, y, depth, way.bend_x, way.bend_y)
         # It lands if it hardly misses the pixel, or is of the owner's surface: if neither its
         # velocity nor its depth differs. Where two of these are equal the derivative is that of
         # one. What bends its path is nearly what bends the owner's.
@@ -250,11 +251,11 @@ def _blur(
         background.Inputs(parameters, times),
         background.Plan(settings, intervals, coding),
     )
-    noise = Image(noise.tap.astype(frame.color.dtype))
+    tap = Image(noise.tap.astype(frame.color.dtype))
     return each_pixel(
         blur_pixel,
         (height, width),
-        Images(color, paths, owners, Image(found), noise),
+        Images(color, paths, owners, Image(found), tap),
         parameters,
         Plan(settings, slices, intervals, coding),
         kept=frame.color,
