@@ -195,8 +195,8 @@ def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
     monkeypatch.delattr(gathers, "_prepared")
     settings = jaxblur.Settings(samples=9, radius=4, backend="native")
     frame, parameters = make_frame((7, 21)), parameters_of(name)
-    # Motion depends on these two, and motion is no scalar.
-    not_alone = {"surface_sharpness", "thin_coverage"}
+    # Motion or the background depends on these, and neither is a scalar.
+    not_alone = {"surface_sharpness", "thin_coverage", "front_sharpness"}
     free = {key: value for key, value in vars(parameters).items() if key not in not_alone}
 
     def total(free):
