@@ -232,8 +232,15 @@ def test_gradient_of_parameters_alone_scatters_nothing():
     assert " gather(" in program
 
 
-@pytest.mark.parametrize("tile_choice", ["own", "expected"])
-@pytest.mark.parametrize("backend", ["native", "xla"])
+@pytest.mark.parametrize(
+    ("backend", "tile_choice"),
+    [
+        ("native", "expected"),
+        ("xla", "own"),
+        pytest.param("native", "own", marks=pytest.mark.slow),
+        pytest.param("xla", "expected", marks=pytest.mark.slow),
+    ],
+)
 def test_second_derivatives_are_those_of_the_first(backend, tile_choice):
     frame = random_frame((6, 7), speed=4.0)
     settings = jaxblur.GuertinSettings(
