@@ -88,7 +88,7 @@ def cases():
         yield pytest.param(name, shape, options, "float32", marks=marks)
 
 
-@pytest.mark.parametrize(("name", "shape", "options", "dtype"), cases())
+@pytest.mark.parametrize(("name", "shape", "options", "dtype"), list(cases()))
 def test_equals_plain_loops(name, shape, options, dtype):
     with jax.enable_x64(dtype == "float64"):
         frame, noise = random_frame(shape, dtype=dtype), random_noise(shape, dtype=dtype)
