@@ -275,7 +275,8 @@ def _of_parameters(info: FilterInfo, here: _Point, step: float) -> list[_Quantit
             value = min(value, entry.high / (1 + step))
 
         def move(x: Any, name: str = name, value: float = value) -> _Point:
-            moved = value * (1 + x) if value else x
+            # Of the type of the others: a weak one would trace the filter anew for each parameter.
+            moved = jnp.asarray(value * (1 + x) if value else x, here.frame.color.dtype)
             return here._replace(parameters=dataclasses.replace(here.parameters, **{name: moved}))
 
         quantities.append(_Quantity(name, value, move))

@@ -1,6 +1,7 @@
 """Options, shared fixtures, and run-time type checks of the kernels."""
 
 import atexit
+import mmap
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import jax
+import jaxlib
 import pytest
 from jaxtyping import install_import_hook
 
@@ -26,11 +28,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a script Ctrl-C is ignored, by this process and by those that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-QUICK_XLA = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+
+def quick_xla() -> str:
+    """Flags with which XLA compiles two to five times as fast, and what it makes runs slower."""
+    flags = ["--xla_backend_optimization_level=0"]
+    library = Path(jaxlib.__file__).with_name("libjax_common.so")
+    values = {"xla_cpu_use_fusion_emitters": "false", "xla_cpu_parallel_codegen_split_count": "1"}
+    # XLA ends the process at a flag that it does not know.
+    with library.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        flags += [f"--{k}={v}" for k, v in values.items() if text.find(k.encode()) >= 0]
+    return " ".join(flags)
+
+
 if "XLA_FLAGS" not in os.environ:
-    # Tests compile far longer than they run. `XLA_FLAGS=` (empty) compiles as users do; CI and a
-    # slow test run the tests of filters and gradients that way too.
-    os.environ["XLA_FLAGS"] = QUICK_XLA
+    # Tests compile far longer than they run. `XLA_FLAGS= pytest` compiles as users do; a slow test
+    # (tests/test_xla_defaults.py) does so for filters, native code and gradients.
+    os.environ["XLA_FLAGS"] = quick_xla()
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 if COMPILED not in os.environ:

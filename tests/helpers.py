@@ -77,7 +77,11 @@ def check_gradients(function, *arguments, order=1):
     Call it inside ``jax.enable_x64(True)``, away from kinks.
     """
 
+    @jax.jit
+    def compiled(*values):
+        return function(*values)
+
     def on_arrays(*values):
-        return function(*jax.tree.map(jnp.asarray, values))
+        return compiled(*jax.tree.map(jnp.asarray, values))
 
     check_grads(on_arrays, arguments, order, ("fwd", "rev"), eps=1e-6, atol=1e-5, rtol=1e-5)

@@ -70,6 +70,9 @@ def test_every_input_equals_finite_differences(name):
         )
 
 
+# In the fast suite, `test_every_input_equals_finite_differences` differentiates by all of these
+# parameters along one direction, and tests/test_fitting_objective.py by five of them one by one.
+@pytest.mark.slow
 def test_every_parameter_matters_and_has_its_gradient():
     shape, step = (12, 13), 1e-6
     settings = jaxblur.GuertinSettings(samples=7, radius=4, fetch="blend", tile_choice="expected")
@@ -117,29 +120,70 @@ def kink_frames():
         "half sky": with_depth(jnp.where(jnp.arange(9) < 4, jnp.inf, 2.0)),
         "one depth": with_depth(2.0),
         "extreme depths": with_depth(jnp.where(jnp.arange(9) % 2 == 0, 1e-30, 1e9)),
+    }
+
+
+def small_frames():
+    base = random_frame((8, 9), speed=5.0)
+    return {
         "one pixel": jax.tree.map(lambda buffer: buffer[:1, :1], base),
         "one row": jax.tree.map(lambda buffer: buffer[:1], base),
     }
 
 
-@pytest.mark.parametrize("name", FILTERS)
-def test_value_and_gradients_are_finite_at_every_kink(name):
-    choices = [jaxblur.GuertinSettings(samples=5, radius=4, fetch="bilinear")]
-    if name == "guertin2014":
-        choices += [dataclasses.replace(choices[0], fetch="nearest", tile_choice="expected")]
-    for settings in choices:
-        function = blur(name, settings, None)
+KINK_SETTINGS = jaxblur.GuertinSettings(samples=5, radius=4, fetch="bilinear")
+OTHER_KINK_SETTINGS = dataclasses.replace(KINK_SETTINGS, fetch="nearest", tile_choice="expected")
+"""Of guertin2014 alone."""
 
-        @jax.jit
-        def both_modes(frame, function=function):
-            inputs = (frame.color, frame.depth, frame.velocity, PARAMETERS[name])
-            value, pull = jax.vjp(function, *inputs)
-            ones = jax.tree.map(jnp.ones_like, jax.tree.map(jnp.asarray, inputs))
-            return value, pull(jnp.ones_like(value)), jax.jvp(function, inputs, ones)[1]
 
-        for kink, frame in kink_frames().items():
-            for leaf in jax.tree.leaves(both_modes(frame)):
-                assert jnp.isfinite(leaf).all(), (kink, settings)
+def assert_finite_both_ways(name, settings, frames):
+    function = blur(name, settings, None)
+
+    @jax.jit
+    def both_modes(frame):
+        inputs = (frame.color, frame.depth, frame.velocity, PARAMETERS[name])
+        value, pull = jax.vjp(function, *inputs)
+        ones = jax.tree.map(jnp.ones_like, jax.tree.map(jnp.asarray, inputs))
+        return value, pull(jnp.ones_like(value)), jax.jvp(function, inputs, ones)[1]
+
+    for kink, frame in frames.items():
+        for leaf in jax.tree.leaves(both_modes(frame)):
+            assert jnp.isfinite(leaf).all(), kink
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [*((name, KINK_SETTINGS) for name in FILTERS), ("guertin2014", OTHER_KINK_SETTINGS)],
+    ids=[*FILTERS, "guertin2014-expected"],
+)
+def test_value_and_gradients_are_finite_at_every_kink(name, settings):
+    assert_finite_both_ways(name, settings, kink_frames())
+
+
+# Each size compiles anew. In the fast suite every filter has one of them, and guertin2014 both.
+@pytest.mark.parametrize(
+    ("name", "settings", "which"),
+    [
+        ("guertin2014", KINK_SETTINGS, "one row"),
+        ("guertin2014", OTHER_KINK_SETTINGS, "one pixel"),
+        ("mcguire2012", KINK_SETTINGS, "one row"),
+        ("pixel_velocity", KINK_SETTINGS, "one row"),
+        ("layered", KINK_SETTINGS, "one pixel"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in [
+                ("guertin2014", KINK_SETTINGS, "one pixel"),
+                ("guertin2014", OTHER_KINK_SETTINGS, "one row"),
+                ("mcguire2012", KINK_SETTINGS, "one pixel"),
+                ("pixel_velocity", KINK_SETTINGS, "one pixel"),
+                ("layered", KINK_SETTINGS, "one row"),
+            ]
+        ),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value.tile_choice,
+)
+def test_value_and_gradients_are_finite_on_one_pixel_and_one_row(name, settings, which):
+    assert_finite_both_ways(name, settings, {which: small_frames()[which]})
 
 
 def test_gradients_survive_debug_nans_vmap_and_checkpoint():
@@ -188,8 +232,15 @@ def test_gradient_of_parameters_alone_scatters_nothing():
     assert " gather(" in program
 
 
-@pytest.mark.parametrize("tile_choice", ["own", "expected"])
-@pytest.mark.parametrize("backend", ["native", "xla"])
+@pytest.mark.parametrize(
+    ("backend", "tile_choice"),
+    [
+        ("native", "expected"),
+        ("xla", "own"),
+        pytest.param("native", "own", marks=pytest.mark.slow),
+        pytest.param("xla", "expected", marks=pytest.mark.slow),
+    ],
+)
 def test_second_derivatives_are_those_of_the_first(backend, tile_choice):
     frame = random_frame((6, 7), speed=4.0)
     settings = jaxblur.GuertinSettings(
@@ -201,8 +252,12 @@ def test_second_derivatives_are_those_of_the_first(backend, tile_choice):
         return 1e4 * jnp.mean(jaxblur.guertin2014(frame, parameters, settings=settings) ** 2)
 
     slope = jax.grad(loss)
-    by_differences = (slope(44.0) - slope(36.0)) / 8
-    for second in (jax.hessian(loss), jax.grad(slope)):
-        np.testing.assert_allclose(second(40.0), by_differences, rtol=0.05)
-    along = jax.jvp(slope, (40.0,), (1.0,))[1]
-    np.testing.assert_allclose(along, by_differences, rtol=0.05)
+
+    @jax.jit
+    def second(kappa):
+        along = jax.jvp(slope, (kappa,), (1.0,))[1]
+        return slope(kappa), jax.hessian(loss)(kappa), jax.grad(slope)(kappa), along
+
+    by_differences = (second(44.0)[0] - second(36.0)[0]) / 8
+    for way in second(40.0)[1:]:
+        np.testing.assert_allclose(way, by_differences, rtol=0.05)

@@ -77,8 +77,18 @@ VARIANTS = [
 ]
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize(("name", "shape", "options"), VARIANTS)
+def cases():
+    """In the fast suite float64, by XLA, and float32 for every shape.
+
+    That native code does the same in every setting is in tests/test_native.py too.
+    """
+    for name, shape, options in VARIANTS:
+        yield name, shape, options, "float64"
+        marks = [pytest.mark.slow] if options and name == "guertin2014" else []
+        yield pytest.param(name, shape, options, "float32", marks=marks)
+
+
+@pytest.mark.parametrize(("name", "shape", "options", "dtype"), list(cases()))
 def test_equals_plain_loops(name, shape, options, dtype):
     with jax.enable_x64(dtype == "float64"):
         frame, noise = random_frame(shape, dtype=dtype), random_noise(shape, dtype=dtype)

@@ -93,7 +93,14 @@ def test_derivatives_do_what_the_picture_does(name):
     frame, truth = rendered("cube_over_crates")
     # At 1.2 the cube is as fast as the radius of mcguire2012, where its speed stops to matter.
     scales = (0.8, 1.0) if name == "mcguire2012" else (0.8, 1.0, 1.2)
-    table = check_gradient(name, frame, truth, scales=scales, draws=16)
+    calls = []
+
+    def loss(image, truth):
+        calls.append(image)
+        return jnp.mean((image - truth) ** 2)
+
+    table = check_gradient(name, frame, truth, scales=scales, draws=16, loss=loss)
+    assert len(calls) == 2, "the loss and its gradient are traced once, for all quantities"
     if name == "layered":
         # Which pixel owns a place has no derivative: a depth decides that. Near the least loss the
         # slope by the speed of the cube is off by a third of itself.

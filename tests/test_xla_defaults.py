@@ -1,0 +1,34 @@
+"""Filters, native code and gradients where XLA compiles as it does for users.
+
+The other tests let it compile fast (tests/conftest.py).
+"""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[1]
+TESTS = {
+    "tests/test_filters.py": "plain_loops or jit_and_vmap or identity or constant",
+    "tests/test_native.py": "equals_xla or bits",
+    "tests/test_filter_gradients.py": "kink or second_derivatives",
+}
+"""Expressions of pytest that choose tests by file."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", TESTS)
+def test_passes_as_xla_compiles_for_users(file):
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", file, "-k", TESTS[file]],
+        env=os.environ | {"XLA_FLAGS": ""},
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+    )
+    assert done.returncode == 0 and " passed" in done.stdout, done.stdout
