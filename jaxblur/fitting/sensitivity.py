@@ -91,7 +91,7 @@ def sandwich(
     inverse = np.where(determined, 1 / np.where(determined, curvatures, 1), 0)
     inverse = (directions * inverse) @ directions.T
     count = len(blocks)
-    spread = blocks - blocks.mean(axis=0)
+    spread = blocks - blocks.sum(axis=0) / max(count, 1)
     meat = spread.T @ spread * (count / max(count - 1, 1))
     lost = np.square(directions[:, ~determined]).sum(axis=1)
     return inverse @ meat @ inverse, lost < 0.01

@@ -22,6 +22,7 @@ from .tracing import Grid, Place, Stages
 
 def run_stages(
     stages: Stages,
+    results: Sequence[str],
     kept: jax.Array | None,
     local: Sequence[jax.Array],
     tables: Sequence[jax.Array],
@@ -32,6 +33,7 @@ def run_stages(
 
     Args:
         stages: of the program. Part of the compilation key.
+        results: their types.
         kept: (H, W, K) image that the pixels keep whose results are not wanted, K at most the
             number R of results; further channels are 0 there. None where all are wanted, or the
             others have results of their own.
@@ -49,7 +51,8 @@ def run_stages(
     sample = stages.sample or no_terms
     plan = Plan(sample, stages.limit, stages.samples, backend, grid, len(local))
     leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
-    return _gather(plan, stages, kept, leaves)
+    static = _Gather(plan, stages, len(leaves), len(results), jnp.result_type(*results))
+    return _gather(static, kept, leaves)
 
 
 class _Gather(NamedTuple):
@@ -58,6 +61,8 @@ class _Gather(NamedTuple):
     plan: Plan
     stages: Stages
     leaves: int
+    results: int
+    dtype: Any
 
     def split(self, operands: Sequence[Any]) -> tuple[list[Any], Any]:
         """Operands as leaves and the image kept."""
@@ -65,12 +70,16 @@ class _Gather(NamedTuple):
         return leaves, (images[0] if images else None)
 
 
-def _gather(
-    plan: Plan, stages: Stages, kept: jax.Array | None, leaves: Sequence[jax.Array]
-) -> jax.Array:
+def _gather(static: _Gather, kept: jax.Array | None, leaves: Sequence[jax.Array]) -> jax.Array:
     """The results."""
-    images = () if kept is None else (kept,)
-    return _gather_operator(_Gather(plan, stages, len(leaves)), (*leaves, *images))[0]
+    return _gather_operator(static, (*leaves, *(() if kept is None else (kept,))))[0]
+
+
+def _shapes(static: _Gather, operands: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+    """Shape and type of the results."""
+    grid, kept = static.plan.grid, static.split(operands)[1]
+    dtype = static.dtype if kept is None else jnp.result_type(static.dtype, kept.dtype)
+    return [jax.ShapeDtypeStruct((grid.height, grid.width, static.results), dtype)]
 
 
 def cond_of_values(
@@ -139,7 +148,7 @@ def _batch_first(result: jax.Array) -> jax.Array:
 
 def _gathered(static: _Gather, operands: Sequence[jax.Array]) -> list[jax.Array]:
     """The results, without derivatives."""
-    plan, stages, count = static
+    plan, stages, count, *_ = static
     leaves, kept = static.split(operands)
     channels = 0 if kept is None else kept.shape[-1]
     native = native_gather(stages, leaves, plan.locals, plan.grid, plan.backend, channels)
@@ -275,12 +284,12 @@ def _gather_jvp(
     static: _Gather, primals: Any, tangents: Any
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Derivatives are those of the stages; only inputs with a tangent are differentiated."""
-    plan, stages, _ = static
+    plan, stages = static.plan, static.stages
     (leaves, kept), (tangents, kept_change) = static.split(primals), static.split(tangents)
     active = [k for k, tangent in enumerate(tangents) if tangent is not None]
     directions = [tangents[k] for k in active]
     if all(leaves[k].ndim == 0 for k in active):
-        values, change = _scalar_derivatives(plan, stages, kept, leaves, active, directions)
+        values, change = _scalar_derivatives(static, kept, leaves, active, directions)
         if kept_change is None:
             return [values], [change]
         wanted = stages.where(plan.grid.place(), *plan.operands(leaves))[0]
@@ -301,17 +310,16 @@ def _gather_jvp(
 
 
 def _scalar_derivatives(
-    plan: Plan,
-    stages: Stages,
+    static: _Gather,
     kept: jax.Array | None,
     leaves: list[jax.Array],
     active: Sequence[int],
     directions: Sequence[jax.Array],
 ) -> tuple[jax.Array, jax.Array]:
     """The results and their change with some scalars, from one kernel: derivatives are images."""
-    augmented = _with_scalar_derivatives(stages, tuple(active))
-    images = _gather(plan, augmented, kept, leaves)
-    size = images.shape[-1] // (1 + len(active))
+    stages = _with_scalar_derivatives(static.stages, tuple(active))
+    size = static.results
+    images = _gather(static._replace(stages=stages, results=size * (1 + len(active))), kept, leaves)
     blocks = [images[..., k : k + size] for k in range(0, images.shape[-1], size)]
     change = jnp.zeros_like(blocks[0])
     for block, direction in zip(blocks[1:], directions, strict=True):
@@ -392,4 +400,4 @@ def _of_value(limit: Callable[..., Any], prepared: tuple[Any, Any]) -> Any:
     return limit(prepared[0])
 
 
-_gather_operator = Operator("run_stages", _gathered, _gather_jvp)
+_gather_operator = Operator("run_stages", _gathered, _shapes, _gather_jvp)

@@ -117,7 +117,7 @@ def _run(
     backend: Backend,
 ) -> jax.Array:
     local, tables, grid = _operands(traced, size, images, parameters)
-    return run_stages(traced.stages, kept, local, tables, grid, backend)
+    return run_stages(traced.stages, traced.results, kept, local, tables, grid, backend)
 
 
 def _operands(

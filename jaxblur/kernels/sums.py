@@ -171,6 +171,7 @@ def _add(totals: Terms, more: Terms) -> Terms:
 
 def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
+    leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     terms = jax.eval_shape(plan.terms, jax.ShapeDtypeStruct((1,), jnp.int32), leaves)
     return [jax.ShapeDtypeStruct(term.shape[:2], term.dtype) for term in terms]
 
@@ -209,7 +210,9 @@ def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     return _sum(plan, moving, leaves), tuple(change)
 
 
-_sum_operator = Operator("sum_samples", _sums, _sum_jvp)
+_sum_operator = Operator(
+    "sum_samples", _sums, lambda plan, operands: _shapes(plan, operands[1:]), _sum_jvp
+)
 
 
 @functools.lru_cache(maxsize=512)
@@ -330,7 +333,12 @@ def _pull_jvp(static: _Pull, primals: Any, tangents: Any) -> tuple[Any, Any]:
     return _pull_operator(static, primals), jax.jvp(pulled, (values,), (directions,))[1]
 
 
-_pull_operator = Operator("pull_samples", _pulled, _pull_jvp)
+_pull_operator = Operator(
+    "pull_samples",
+    _pulled,
+    lambda static, operands: [operands[1 + k] for k in static.active],
+    _pull_jvp,
+)
 
 
 # `_pushed` as an operator that JAX knows to be linear in its directions.
@@ -352,7 +360,6 @@ def _push_by_scan(*operands: Any, plan: Plan, active: tuple[int, ...]) -> Terms:
 def _push_shapes(*operands: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
     """Shapes and types of the change, those of the sums."""
     _, leaves, _ = _split(operands, active)
-    leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan, leaves)]
 
 
