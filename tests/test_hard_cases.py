@@ -30,10 +30,11 @@ SETTINGS = jaxblur.GuertinSettings(
 # Those of one size without a mask, likewise; the experiment measures the others too.
 CASES = [case for case in cases.all_cases() if case.group != "shape" and case.nonfinite == "error"]
 PROMISED_ERROR, PROMISED_FLIPS = 1e-5, 0.01
-# In a symmetric field lines run exactly through the corners of tiles, and rounding decides.
+# In a symmetric field many paths end exactly between two pixels, and rounding decides which of the
+# two they reach.
 MORE_FLIPS = {
-    ("layered", "motion: swirl"): 0.1,
-    ("layered", "motion: zoom from a still center"): 0.1,
+    ("layered", "motion: swirl"): 0.15,
+    ("layered", "motion: zoom from a still center"): 0.15,
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 import jaxblur
 from jaxblur import exr, metrics, scenes
 from jaxblur.filters import filter_info
+from jaxblur.filters._masking import append_mask
 from jaxblur.filters.layered.silhouettes import motion_of
 from tests.exr_files import CAR
 from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
@@ -167,6 +168,20 @@ def test_a_thin_pole_at_rest_is_freed_of_the_background_that_pans(coverage, expe
     np.testing.assert_allclose(x[1:-1, 4], expected, atol=1e-5)
     np.testing.assert_array_equal(y, 0)
     np.testing.assert_array_equal(x[:, [0, 1, 2, 6, 7, 8]], 10)
+
+
+def test_masked_colors_do_not_tell_of_which_surface_a_pixel_is():
+    frame = block_over_wall()
+    frame = frame.replace(color=jnp.maximum(frame.color, 0.4))
+    mask = jnp.ones((16, 64), bool).at[:, 39].set(False)
+    masked = append_mask(frame.replace(valid=mask)).replace(valid=mask)
+    limits = jnp.float32(20), jnp.float32(0.5), jaxblur.Settings(radius=160)
+    expected = motion_of(frame, *limits)
+    np.testing.assert_array_equal(motion_of(masked, *limits), expected)
+    # Without the mask its black column would make what is beside it seem to be of the block.
+    np.testing.assert_array_equal(expected[:, 38, 0], 0)
+    black = frame.replace(color=frame.color.at[:, 39].set(0))
+    assert np.all(motion_of(black, *limits)[1:-1, 38, 0] == 8)
 
 
 def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():

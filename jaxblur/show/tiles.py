@@ -123,11 +123,12 @@ def texel_weights(
     """Compute the contribution of each texel of the frame to one pixel of the result.
 
     The result of a filter whose weights do not depend on color is linear in color, so the weights
-    are the derivative of the pixel with respect to color.
+    are the derivative of the pixel with respect to color. `layered` is linear as long as color
+    tells the same of which surface each pixel is.
 
     Args:
         name: name of a registered filter.
-        frame: one frame; its color is not read.
+        frame: one frame.
         row: row of the pixel.
         column: column of the pixel.
         parameters: parameters of the filter; its defaults if None.
@@ -170,11 +171,11 @@ def _texel_weights(
 ) -> jax.Array:
     """Compiled once for all pixels of frames of one size."""
 
-    def pixel(plane: jax.Array) -> jax.Array:
-        single = dataclasses.replace(frame, color=plane[..., None])
-        return info.call(single, parameters, settings=settings, noise=noise)[row, column, 0]
+    def pixel(color: jax.Array) -> jax.Array:
+        colored = dataclasses.replace(frame, color=color)
+        return info.call(colored, parameters, settings=settings, noise=noise)[row, column, 0]
 
-    return jax.grad(pixel)(jnp.ones(frame.depth.shape))
+    return jax.grad(pixel)(jnp.asarray(frame.color))[..., 0]
 
 
 def tap_diagram(

@@ -117,7 +117,7 @@ def paths_of(
     """The path of every pixel (passes L1 and L2).
 
     Args:
-        frame: its depth and path are used, or its velocity where there is no path.
+        frame: see `.silhouettes.motion_of`.
         parameters: arrays.
         settings: radius and backend are used.
 

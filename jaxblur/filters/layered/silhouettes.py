@@ -42,11 +42,13 @@ class Buffers(NamedTuple):
         motion: (H, W, 2) velocity, or (H, W, 4) path.
         depth: (H, W, 1) scene units.
         color: (H, W, C).
+        valid: (H, W, 1) 0 where the color is masked, or None.
     """
 
     motion: Image
     depth: Image
     color: Image
+    valid: Image | None
 
 
 class Limits(NamedTuple):
@@ -176,19 +178,20 @@ def _share_of_nearer(at: At, images: Buffers, nearer: Array, covering: Array) ->
         is_nearer = finite_depth(images.depth.read(row, column)[0]) < nearer
         return row, column, inside & is_nearer
 
-    row, column, is_nearer = place(2)
-    beyond = images.color.read(row, column)
-    row, column, _ = place(1)
-    inner = [
-        jnp.where(is_nearer, *pair)
-        for pair in zip(beyond, images.color.read(row, column), strict=True)
-    ]
+    def is_valid(row: Array, column: Array) -> Array:
+        return jnp.asarray(True) if images.valid is None else images.valid.read(row, column)[0] != 0
+
+    row, column, beyond = place(2)
+    beside_row, beside_column, _ = place(1)
+    row, column = jnp.where(beyond, row, beside_row), jnp.where(beyond, column, beside_column)
+    inner, known = images.color.read(row, column), is_valid(row, column)
     row, column, is_nearer = place(-1)
-    outer = images.color.read(row, column)
+    outer, known = images.color.read(row, column), known & is_valid(row, column)
+    known = known & is_valid(at.row, at.column)
     gaps = [a - b for a, b in zip(inner, outer, strict=True)]
     apart = [a - b for a, b in zip(images.color.here(), outer, strict=True)]
     squared = _sum(jnp.square(gap) for gap in gaps)
-    known = (covering != 0) & ~is_nearer & (squared > 0)
+    known = known & (covering != 0) & ~is_nearer & (squared > 0)
     share = _sum(a * b for a, b in zip(apart, gaps, strict=True)) / jnp.where(known, squared, 1)
     return jnp.where(known, share, 0)
 
@@ -234,7 +237,7 @@ def motion_of(
     """The motion of every pixel, see `purest_motion`.
 
     Args:
-        frame: its depth and path are used, or its velocity where there is no path.
+        frame: with a mask, the last channel of its color is that mask, and is not a color.
         separation: see `Limits`.
         coverage: see `Limits`.
         settings: radius and backend are used.
@@ -244,10 +247,12 @@ def motion_of(
     """
     height, width = frame.depth.shape
     motion = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
-    color = lax.stop_gradient(frame.color)
+    color, valid = lax.stop_gradient(frame.color), None
+    if frame.valid is not None:
+        color, valid = color[..., :-1], Image(color[..., -1:])
+    images = Buffers(Image(motion), Image(frame.depth), Image(color), valid)
     return each_pixel(
-        *(purest_motion, (height, width), Buffers(Image(motion), Image(frame.depth), Image(color))),
-        *(Limits(separation, coverage), settings),
+        *(purest_motion, (height, width), images, Limits(separation, coverage), settings),
         backend=settings.backend,
     )
 

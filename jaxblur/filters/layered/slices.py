@@ -23,7 +23,7 @@ from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over,
 from ...noise import Noise, resolve_noise
 from ...settings import Settings, checked_settings
 from .._arguments import takes
-from .._masking import append_mask, honoring_mask
+from .._masking import append_mask, divide_by_mask
 from .._sampling import find_texel, path_samples, read_color, read_color_along
 from .._weights import SPEED_FLOOR, anything_moves
 from ..builtin import LAYERED_SLICE, needs_a_slice
@@ -276,7 +276,6 @@ def _keep(frame: Frame, *others: Any) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnames=("settings",))
-@honoring_mask
 def _layered(
     frame: Frame,
     parameters: LayeredParameters,
@@ -285,14 +284,18 @@ def _layered(
     settings: Settings,
 ) -> jax.Array:
     check_parameters(parameters, LayeredParameters)
-    frame = check_frame(frame)
+    frame, mask = check_frame(frame), frame.valid
+    if mask is not None:
+        # The frame keeps its mask, for colors that are compared.
+        frame = append_mask(frame).replace(valid=mask)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     vectors = frame.velocity if frame.path is None else frame.path
     anything = anything_moves(vectors)
-    return cond_of_values(
+    blurred = cond_of_values(
         *(anything, functools.partial(_blur, settings), _keep),
         (frame, parameters, noise, others, anything),
     )
+    return blurred if mask is None else divide_by_mask(blurred)
 
 
 @takes(LayeredParameters, Settings, more=("before", "after", "shutter"))
