@@ -125,6 +125,7 @@ PASSES = {
         "purest_motion",
         "path_of_pixel",
         "draw_pixel",
+        "state_of_pixel",
         "background_of_pixel",
         "blur_pixel",
     ],

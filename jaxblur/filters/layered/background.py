@@ -27,7 +27,7 @@ from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
 from .neighbors import Neighbor
-from .owners import Coding, moves, read_owner, time_of
+from .owners import MISSES, Coding, read_owner, time_of
 from .paths import Path, Vector
 
 REACH = 16
@@ -54,6 +54,7 @@ class Images(NamedTuple):
         color: (H, W, C).
         paths: (H, W, 5), see `.paths.Path`.
         owners: (T H, W, 1), see `.owners.owners_of`.
+        states: (H, W, 1), see `.owners.states_of`.
         neighbors: the frames before and after, as far as they are given.
         hidden: (T H, W, C) T images below one another at times spread evenly over the exposure;
             NaN where unknown. Or None.
@@ -62,6 +63,7 @@ class Images(NamedTuple):
     color: Image
     paths: Image
     owners: Image
+    states: Image
     neighbors: tuple[Neighbor, ...]
     hidden: Image | None
 
@@ -120,10 +122,6 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
     """Pass L4 of one pixel: a color, times how much of it is known; and that."""
     own, parameters = Path(*images.paths.here()), inputs.parameters
     height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
-    marks = [
-        images.owners.read(k * height + at.row, at.column)[0] for k in range(plan.intervals + 1)
-    ]
-    empty = functools.reduce(jnp.logical_or, [mark == 0 for mark in marks])
     around = _around(at, images, own, parameters, (height, width))
 
     def at_time(k: Int[Array, ""]) -> Sums:
@@ -149,9 +147,8 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
     sums = sum_over(plan.intervals + 1, at_time)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
-    none = tuple(jnp.zeros_like(own.x) for _ in values)
-    where = moves(own) & empty
-    return Outcome(tuple(jnp.where(where, *pair) for pair in zip(values, none, strict=True)), where)
+    (state,) = images.states.here()
+    return Outcome(values, where=state == MISSES)
 
 
 class Around(NamedTuple):

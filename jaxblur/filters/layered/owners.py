@@ -7,15 +7,16 @@ nearer. What is drawn at a pixel depends on nothing farther away than the radius
 a frame gives the result of the frame.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
-from ...kernels import At, Image, Outcome, largest_marks, mark_over
+from ...kernels import At, Image, Outcome, each_pixel, largest_marks, mark_over
 from ...settings import Settings
 from .._weights import SPEED_FLOOR
 from .paths import Path
@@ -23,6 +24,9 @@ from .paths import Path
 MOST_INTERVALS = 15
 """Largest number of intervals between the times, so that many samples need no more memory; odd, see
 `intervals_of`."""
+
+RESTS, MOVES, MISSES = 0, 1, 2
+"""What `states_of` tells of a pixel."""
 
 _NEAREST, _OCTAVES = -10, 32
 """Depths are ordered from 2^-10 scene units on, over so many doublings."""
@@ -169,6 +173,54 @@ def owners_of(
         backend=settings.backend,
     )
     return marks.reshape((intervals + 1) * height, width)
+
+
+class Maps(NamedTuple):
+    """Images of the program that looks through the maps.
+
+    Attributes:
+        owners: (T H, W, 1), see `owners_of`.
+        paths: (H, W, 5), see `.paths.Path`.
+    """
+
+    owners: Image
+    paths: Image
+
+
+def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
+    """Whether a pixel has an owner at all times, at some, or at none."""
+    marks = [
+        images.owners.read(k * images.paths.height + at.row, at.column)[0]
+        for k in range(intervals + 1)
+    ]
+    own = Path(*images.paths.here())
+    largest = functools.reduce(jnp.maximum, marks)
+    least = functools.reduce(jnp.minimum, marks)
+    misses = moves(own) & (least == 0)
+    state = jnp.where(misses, MISSES, jnp.where(moves(own) | (largest > 0), MOVES, RESTS))
+    return Outcome((state.astype(own.x.dtype),))
+
+
+def states_of(
+    owners: Image, paths: Image, intervals: int, settings: Settings
+) -> Float[Array, "height width 1"]:
+    """What there is to do at every pixel.
+
+    Args:
+        owners: what `owners_of` gives.
+        paths: (H, W, 5), see `.paths.Path`.
+        intervals: as `owners_of`.
+        settings: backend is used.
+
+    Returns:
+        `RESTS` where the pixel rests and nothing moves across it, `MOVES` where something does,
+        `MISSES` where at some time nothing of the frame is there. Without derivatives.
+    """
+    images = Maps(owners, Image(lax.stop_gradient(paths.values)))
+    return each_pixel(
+        *(state_of_pixel, paths.values.shape[:2], images, None, intervals),
+        backend=settings.backend,
+    )
 
 
 class Owner(NamedTuple):

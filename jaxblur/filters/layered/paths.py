@@ -17,6 +17,7 @@ from ...kernels import At, Image, Outcome, each_pixel
 from ...safe_math import safe_norm, shortening
 from ...settings import Settings
 from .._sampling import find_texel
+from .._weights import SPEED_FLOOR
 from ..parameters import LayeredParameters
 from .silhouettes import Motion, motion_of, taken_from
 
@@ -87,7 +88,11 @@ def path_of_pixel(
     length = safe_norm(x, y)
     too_long = (length > left) & (length > TINY)
     shorter = jnp.where(too_long, left / jnp.where(too_long, length, 1), 1)
-    return Outcome((pixel.x, pixel.y, pixel.log_depth, x * shorter, y * shorter))
+    bent = (pixel.x, pixel.y, pixel.log_depth, x * shorter, y * shorter)
+    if images.path is not None:
+        return Outcome(bent)
+    straight = (pixel.x, pixel.y, pixel.log_depth, jnp.zeros_like(x), jnp.zeros_like(x))
+    return Outcome(bent, where=pixel.x**2 + pixel.y**2 > SPEED_FLOOR**2, otherwise=straight)
 
 
 def _turn(

@@ -30,7 +30,7 @@ from ..builtin import LAYERED_SLICE, needs_a_slice
 from ..parameters import LayeredParameters
 from . import background
 from .neighbors import Neighbor, neighbor_of
-from .owners import Coding, intervals_of, moves, owners_of, read_owner, time_of
+from .owners import RESTS, Coding, intervals_of, owners_of, read_owner, states_of, time_of
 from .paths import Path, paths_of
 
 register_record(LayeredParameters)
@@ -46,6 +46,7 @@ class Images(NamedTuple):
         color: (H, W, C).
         paths: (H, W, 5), see `.paths.Path`.
         owners: (T H, W, 1), see `.owners.owners_of`.
+        states: (H, W, 1), see `.owners.states_of`.
         background: (H, W, C + 1), see `.background.background_of`.
         noise: (H, W, 1) in [-1, 1).
     """
@@ -53,6 +54,7 @@ class Images(NamedTuple):
     color: Image
     paths: Image
     owners: Image
+    states: Image
     background: Image
     noise: Image
 
@@ -101,10 +103,6 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
     settings, intervals = plan.settings, plan.intervals
     own = Path(*images.paths.here())
     height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
-    # Nothing to do where the pixel rests and nothing that moves is drawn at any time.
-    marks = [images.owners.read(k * height + at.row, at.column)[0] for k in range(intervals + 1)]
-    reached = functools.reduce(jnp.logical_or, [mark != 0 for mark in marks])
-
     slices = dataclasses.replace(settings, samples=plan.slices)
     limit = None
     if settings.spacing:
@@ -120,6 +118,7 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
     jitter = noise * parameters.jitter / 2
     inverse_tolerance = 1 / jnp.square(parameters.landing_tolerance)
     *behind, known = images.background.here()
+    (state,) = images.states.here()
 
     def make_guess(time: Array, index: Array) -> Guess:
         owner = read_owner(at, images.owners, index, own, plan.coding, (height, width))
@@ -180,7 +179,7 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
         jnp.where(blurs, color * inverse, kept)
         for kept, color in zip(images.color.here(), sums.color, strict=True)
     ]
-    return Outcome(tuple(blurred), where=reached | moves(own))
+    return Outcome(tuple(blurred), where=state != RESTS)
 
 
 def visible_shares(
@@ -238,6 +237,7 @@ def _blur(
     paths = paths_of(frame, parameters, settings)
     owners = Image(owners_of(paths, intervals, settings))
     color, paths = Image(frame.color), Image(paths)
+    states = Image(states_of(owners, paths, intervals, settings))
     neighbors, times = _neighbors(others)
     hidden = others.hidden
     found = background.background_of(
@@ -245,6 +245,7 @@ def _blur(
             color,
             paths,
             owners,
+            states,
             neighbors,
             None if hidden is None else Image(hidden.reshape(-1, *hidden.shape[2:])),
         ),
@@ -255,7 +256,7 @@ def _blur(
     return each_pixel(
         blur_pixel,
         (height, width),
-        Images(color, paths, owners, Image(found), tap),
+        Images(color, paths, owners, states, Image(found), tap),
         parameters,
         Plan(settings, slices, intervals, coding),
         kept=frame.color,

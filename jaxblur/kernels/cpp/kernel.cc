@@ -127,11 +127,12 @@ static void sum_piece(const Job* job, Element* const* tables, int piece, int32_t
 
 /* A part is one piece. Where taps add to tables it has tables of its own and every so many pieces,
    the same in every run, so that the same input gives the same bits. Where samples write apart, a
-   part is one sample of all pixels, and the tables are shared. */
+   part is some samples of all pixels, and the tables are shared. */
 static void sum_part(const Job* job, int part) {
   if (APART) {
+    const int32_t begin = part * APART / job->parts, end = (part + 1) * APART / job->parts;
     for (int piece = 0; piece < job->pieces; ++piece)
-      sum_piece(job, job->tables, piece, part, part + 1);
+      sum_piece(job, job->tables, piece, begin, end);
     return;
   }
   if (TABLES == 0) return sum_piece(job, job->tables, part);
@@ -228,7 +229,7 @@ static void join_tables(Job* job, bool enough) {
 static bool run(Job* job, XLA_FFI_CallFrame* frame) {
   const int helpers = count_helpers(frame);
   const int most = APART ? APART : TABLES ? MOST_PARTS_WITH_TABLES : job->pieces;
-  job->parts = TABLES && !APART && helpers + 1 < most ? helpers + 1 : most;
+  job->parts = TABLES && helpers + 1 < most ? helpers + 1 : most;
   const bool enough = make_tables(job);
   if (enough) {
     count(&job->users, 1); /* Who waits for it, and who works. */
