@@ -127,7 +127,7 @@ def paths_of(motion, depth, parameters, radius, curved):
     """Velocity and bend of every pixel, within the radius together."""
     paths = motion.copy()
     for row, column in np.ndindex(depth.shape):
-        if not curved:
+        if not curved and motion[row, column][:2] @ motion[row, column][:2] > 0.25:
             turn = turn_of(motion, depth, row, column, parameters["surface_sharpness"])
             paths[row, column, 2:] = parameters["bend"] * turn
         speed, bend = (math.hypot(*part) for part in np.split(paths[row, column], 2))
@@ -190,7 +190,7 @@ def background_of(color, paths, depth, owners, row, column, parameters):
                 total += color[at] / distance**2
                 share += 1 / distance**2
                 break
-    if not missing or share == 0:
+    if share == 0 or not any(k in missing and k + 1 in missing for k in range(len(owners) - 1)):
         return np.zeros(color.shape[2]), 0.0
     known = 0.0
     for k in missing:

@@ -8,6 +8,7 @@ a frame gives the result of the frame.
 """
 
 import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -195,8 +196,9 @@ def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
     ]
     own = Path(*images.paths.here())
     largest = functools.reduce(jnp.maximum, marks)
-    least = functools.reduce(jnp.minimum, marks)
-    misses = moves(own) & (least == 0)
+    # The larger of two that follow each other: a slice takes the one that exists.
+    pairs = [jnp.maximum(*pair) for pair in itertools.pairwise(marks)]
+    misses = moves(own) & (functools.reduce(jnp.minimum, pairs) == 0)
     state = jnp.where(misses, MISSES, jnp.where(moves(own) | (largest > 0), MOVES, RESTS))
     return Outcome((state.astype(own.x.dtype),))
 
