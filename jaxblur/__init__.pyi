@@ -49,6 +49,7 @@ from .planning import (
     plan as plan,
 )
 from .settings import GuertinSettings as GuertinSettings, Settings as Settings
+from .shutter import Shutter as Shutter
 from .vectors.encoding import (
     decode_velocity as decode_velocity,
     encode_velocity as encode_velocity,

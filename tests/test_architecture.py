@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
 # Frames, numbers and light: what every layer may know.
-FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "srgb"}
+FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "shutter", "srgb"}
 CORE = FRAMES | {"kernels", "filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
@@ -22,13 +22,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "frame": {"camera"},
     "safe_math": set(),
     "settings": set(),
+    "shutter": {"frame"},
     "srgb": set(),
     "nonfinite": {"frame"},
     "noise": {"frame", "settings"},
     "metrics": {"frame", "srgb"},
     "scenes": {"frame", "srgb"},
     "kernels": {"_util", "safe_math", "settings"},
-    "filters": {"frame", "kernels", "noise", "safe_math", "settings"},
+    "filters": {"frame", "kernels", "noise", "safe_math", "settings", "shutter"},
     "vectors": {"frame", "safe_math"},
     "exr": {"_util", "frame", "nonfinite", "srgb", "vectors"},
     "sequence": {"exr"},

@@ -17,6 +17,7 @@ from ..frame import check_frame_type
 from ..noise import Noise
 from ..settings import Settings, checked_settings
 from .parameters import check_parameters_type
+from .registry import filter_info, names
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -121,5 +122,11 @@ def _unknown_option(
         return (
             f"`{option}` is a parameter of {name}: pass {parameters.__name__}({option}=...) as "
             "`parameters`."
+        )
+    if option == "exposure":
+        able = " or ".join(each for each in names() if filter_info(each).takes_shutter)
+        return (
+            f"`exposure`: {name} knows only a box centered on the frame, whose length is that of the "
+            f"frame's velocity (for another one scale the velocity); {able} takes any shutter."
         )
     return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."

@@ -145,6 +145,7 @@ BUILTIN: Sequence[FilterInfo] = (
         check=needs_a_slice,
         row_reach=_layered_rows,
         takes_neighbors=True,
+        takes_shutter=True,
     ),
 )
 for _info in BUILTIN:

@@ -86,6 +86,8 @@ class FilterInfo:
             `jaxblur.show.texel_weights` rejects such a filter.
         takes_neighbors: whether the filter also takes the frames ``before`` and ``after``, each a
             `Frame` or None, and ``shutter``, the exposure in frames that relates them.
+        takes_shutter: whether the filter also takes ``exposure``, a `jaxblur.Shutter` or None. The
+            others know the nominal exposure alone, a box that is centered on the frame.
     """
 
     name: str
@@ -100,6 +102,7 @@ class FilterInfo:
     row_reach: Callable[[Any, Any, bool], tuple[int, int]] | None = None
     reads_color: bool = False
     takes_neighbors: bool = False
+    takes_shutter: bool = False
 
     @functools.cached_property
     def call(self) -> Filter:

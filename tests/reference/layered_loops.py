@@ -151,15 +151,104 @@ def level_of(depth, radius):
     return min(max(math.floor(share * levels), 1), levels - 1)
 
 
-def owners_of(paths, depth, radius, intervals):
+class NominalClock:
+    """A box from -1 to 1 for all rows."""
+
+    reach = 1.0
+
+    def __init__(self, intervals):
+        self.intervals = intervals
+
+    def of_owners(self, k, row):
+        return 2 * k / self.intervals - 1
+
+    def drawn(self, k, path, row):
+        return self.of_owners(k, row)
+
+    def of_light(self, light, row):
+        return light
+
+
+class Clock:
+    """Any shutter: times are where shares of the light have come in."""
+
+    CELLS = 256
+
+    def __init__(self, intervals, shutter, height):
+        self.known = {}
+        self.curve = np.asarray(shutter["curve"], np.float64)
+        open_, close = shutter["open"], shutter["close"]
+        ends = [open_ + (close - open_) * self.share_of_time(share) for share in (0.0, 1.0)]
+        self.reach = max(abs(end) for end in ends) + abs(shutter["readout"]) / 2
+        self.intervals, self.height = intervals, height
+        self.open, self.length = open_ / self.reach, (close - open_) / self.reach
+        self.readout = shutter["readout"] / self.reach
+
+    def light_until(self, share):
+        """The integral of the curve, in units of the distance between two of its points."""
+        place = share * (len(self.curve) - 1)
+        first = min(int(place), len(self.curve) - 2)
+        whole = sum((self.curve[k] + self.curve[k + 1]) / 2 for k in range(first))
+        part = place - first
+        middle = self.curve[first] + part / 2 * (self.curve[first + 1] - self.curve[first])
+        return whole + part * middle
+
+    def share_of_time(self, light):
+        """By bisection; the last such time, or the first one for all of the light."""
+        if light in self.known:
+            return self.known[light]
+        total, low, high = self.light_until(1.0), 0.0, 1.0
+        for _ in range(100):
+            middle = (low + high) / 2
+            here = self.light_until(middle)
+            if here < light * total or (here == light * total and light < 1):
+                low = middle
+            else:
+                high = middle
+        self.known[light] = (low + high) / 2
+        return self.known[light]
+
+    def later(self, row):
+        return self.readout * ((row + 0.5) / self.height - 0.5)
+
+    def of_owners(self, k, row):
+        return self.open + self.length * self.share_of_time(k / self.intervals) + self.later(row)
+
+    def drawn(self, k, path, row):
+        """The time t of the row where the point is at t, by bisection."""
+        start = self.of_owners(k, row)
+        low, high = -1.5, 1.5
+        rate = self.readout / self.height
+        for _ in range(100):
+            middle = (low + high) / 2
+            if middle - start - rate * (middle * path[1] + middle**2 * path[3]) < 0:
+                low = middle
+            else:
+                high = middle
+        return min(max((low + high) / 2, -1.0), 1.0)
+
+    def of_light(self, light, row):
+        place = (light + 1) * self.CELLS / 2
+        cell = min(max(math.floor(place), 0), self.CELLS - 1)
+        first, middle, last = (self.share_of_time((cell + k) / self.CELLS) for k in (0, 0.5, 1))
+        points = np.linspace(0, 1, len(self.curve))
+        here = np.interp(middle, points, self.curve)
+        length = self.light_until(1.0) / (len(self.curve) - 1) / self.CELLS / here
+        length = min(last - first, length)
+        share = middle + length * (place - cell - 0.5)
+        return self.open + self.length * share + self.later(row)
+
+
+def owners_of(paths, depth, radius, clock):
     """The owner of every pixel at every time, None where there is none."""
     height, width = depth.shape
     owners = []
-    for k in range(intervals + 1):
-        t, found = 2 * k / intervals - 1, {}
+    for k in range(clock.intervals + 1):
+        found = {}
         for row, column in np.ndindex(depth.shape):
             if not moves(paths[row, column]):
                 continue
+            t = clock.drawn(k, paths[row, column], row)
             right, down = (math.floor(part + 0.5) for part in place_at(paths[row, column], t))
             at = row + down, column + right
             if 0 <= at[0] < height and 0 <= at[1] < width:
@@ -177,7 +266,7 @@ def owners_of(paths, depth, radius, intervals):
     return owners
 
 
-def background_of(color, paths, depth, owners, row, column, parameters):
+def background_of(color, paths, depth, owners, row, column, parameters, clock):
     """What shows where there is no owner: a color times how much of it is known, and that."""
     own, z = paths[row, column], depth[row, column]
     missing = [k for k, image in enumerate(owners) if (row, column) not in image]
@@ -194,7 +283,7 @@ def background_of(color, paths, depth, owners, row, column, parameters):
         return np.zeros(color.shape[2]), 0.0
     known = 0.0
     for k in missing:
-        t = 2 * k / (len(owners) - 1) - 1
+        t = clock.of_owners(k, row)
         x, y = t * t * own[2:] - t * own[:2]
         where, counts = at_texel(row, column, x, y, depth.shape, "skip")
         known += counts * clip01(parameters["front_sharpness"] * (depth[where] - z))
@@ -223,16 +312,16 @@ def guess(color, paths, depth, owner, at, times, parameters, settings):
     return lands, depth[where], seen, way
 
 
-def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings):
+def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, clock):
     count, intervals = settings["samples"] // 3, len(owners) - 1
-    behind, known = background_of(color, paths, depth, owners, at[0], at[1], parameters)
+    behind, known = background_of(color, paths, depth, owners, *at, parameters, clock)
     total, weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
         first = int((2 * i + 1) * (intervals / 2) / count)
         pair = []
         for k, side in enumerate((-0.5, 0.5)):
-            t = (2 * i + 1 - count + side + tap * parameters["jitter"] / 2) / count
-            times = t, 2 * (first + k) / intervals - 1
+            light = (2 * i + 1 - count + side + tap * parameters["jitter"] / 2) / count
+            times = clock.of_light(light, at[0]), clock.of_owners(first + k, at[0])
             owner = owners[first + k].get(at)
             pair.append(guess(color, paths, depth, owner, at, times, parameters, settings))
         (lands, z, seen, way), (other_lands, other_z, other_seen, other_way) = pair
@@ -248,17 +337,33 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings):
     return total / weights if weights > 1e-3 else color[at]
 
 
-def layered(color, depth, velocity, parameters, settings, tap, path=None):
-    """The filter; parameters and settings as dicts."""
+def layered(color, depth, velocity, parameters, settings, tap, path=None, shutter=None):
+    """The filter; parameters, settings and a shutter as dicts.
+
+    A path is continued as a parabola, which a shutter longer than the nominal one shows.
+    """
+    intervals = min(settings["samples"] // 3, 15)
+    if shutter is None:
+        clock = NominalClock(intervals)
+    else:
+        clock = Clock(intervals, shutter, len(depth))
+        parameters = parameters | {"distinct": parameters["distinct"] * clock.reach}
+        velocity = velocity * clock.reach
+        if path is not None:
+            middle, half = (path[:, :, 1] + path[:, :, 0]) / 2, (path[:, :, 1] - path[:, :, 0]) / 2
+            middle, half = middle * clock.reach**2, half * clock.reach
+            path = np.stack([middle - half, middle + half], axis=2)
     color, z, radius = color.astype(np.float64), log_depth(depth), settings["radius"]
     motion = motion_of(velocity.astype(np.float64), path, radius)
     sharpness, coverage = parameters["surface_sharpness"], parameters["thin_coverage"]
     motion, z = purest(motion, z, color, sharpness, coverage)
     paths = paths_of(motion, z, parameters, radius, path is not None)
-    owners = owners_of(paths, z, radius, min(settings["samples"] // 3, 15))
+    owners = owners_of(paths, z, radius, clock)
     out = color.copy()
     for at in np.ndindex(depth.shape):
         drawn = any(image.get(at, at) != at for image in owners)
         if drawn or moves(paths[at]):
-            out[at] = layered_pixel(color, paths, z, owners, at, tap[at], parameters, settings)
+            out[at] = layered_pixel(
+                color, paths, z, owners, at, tap[at], parameters, settings, clock
+            )
     return out

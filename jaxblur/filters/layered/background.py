@@ -28,8 +28,9 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
+from .clock import Span, Times, time_of_owners
 from .neighbors import Neighbor
-from .owners import MISSES, Coding, read_owner, time_of
+from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
 
 REACH = 16
@@ -60,6 +61,7 @@ class Images(NamedTuple):
         neighbors: the frames before and after, as far as they are given.
         hidden: (T H, W, C) T images below one another at times spread evenly over the exposure;
             NaN where unknown. Or None.
+        clock: tables of the shutter; None for the nominal one.
     """
 
     color: Image
@@ -68,6 +70,7 @@ class Images(NamedTuple):
     states: Image
     neighbors: tuple[Neighbor, ...]
     hidden: Image | None
+    clock: Times | None
 
 
 class Inputs(NamedTuple):
@@ -76,10 +79,12 @@ class Inputs(NamedTuple):
     Attributes:
         parameters: of the filter.
         times: of the neighbors, in half exposures.
+        span: of the shutter; None for the nominal one.
     """
 
     parameters: LayeredParameters
     times: tuple[Array, ...]
+    span: Span | None
 
 
 class Plan(NamedTuple):
@@ -127,7 +132,7 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
     around = _around(at, images, own, parameters, (height, width))
 
     def at_time(k: Int[Array, ""]) -> Sums:
-        time = time_of(k, plan.intervals, own.x)
+        time = time_of_owners(k, plan.intervals, own.x, at.row, images.clock, inputs.span)
         owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
         found = _of_frame(at, images, own, time, around, parameters)
         borrowed = Found(found.color, jnp.zeros_like(own.x), jnp.full_like(own.x, jnp.inf))

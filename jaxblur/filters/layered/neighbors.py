@@ -41,12 +41,12 @@ def neighbor_of(frame: Frame, frames: int, shutter: ArrayLike) -> Neighbor:
         The neighbor. Differentiable.
     """
     half = jnp.asarray(shutter, frame.color.dtype) / 2
-    ends = [_displacement(frame, (frames + side * half) / half) for side in (-1, 1)]
+    ends = [displacement_at(frame, (frames + side * half) / half) for side in (-1, 1)]
     depth = jnp.log(finite_depth(frame.depth))[..., None]
     return Neighbor(Image(frame.color), Image(jnp.concatenate([*ends, depth], axis=-1)))
 
 
-def _displacement(frame: Frame, time: Array) -> Float[Array, "height width 2"]:
+def displacement_at(frame: Frame, time: Array) -> Float[Array, "height width 2"]:
     """Displacement at a time in half exposures, on the arc through the ends of the path.
 
     With l half of the chord and the rest c split into c1 along l and c2 across it, the arc is

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Int
 from ...kernels import At, Image, Outcome, each_pixel, largest_marks, mark_over
 from ...settings import Settings
 from .._weights import SPEED_FLOOR
+from .clock import Clock, Span, Times, time_when_drawn
 from .paths import Path
 
 MOST_INTERVALS = 15
@@ -42,6 +43,7 @@ class Drawn(NamedTuple):
         bend_x: as `.paths.Path`.
         bend_y: as `.paths.Path`.
         level: of the depth, see `Coding.level`.
+        times: of the shutter; None for the nominal one.
     """
 
     x: Image
@@ -49,6 +51,7 @@ class Drawn(NamedTuple):
     bend_x: Image
     bend_y: Image
     level: Image
+    times: Times | None
 
 
 class Coding(NamedTuple):
@@ -101,11 +104,6 @@ def intervals_of(slices: int) -> int:
     return min(slices, MOST_INTERVALS)
 
 
-def time_of(index: Array, intervals: int, like: Array) -> Array:
-    """The time of a map of owners, ``-1 + 2 k / intervals``; symmetric about 0 to the bit."""
-    return (2 * index - intervals).astype(like.dtype) * (1 / intervals)
-
-
 class Drawing(NamedTuple):
     """What is fixed when the program is traced."""
 
@@ -113,14 +111,15 @@ class Drawing(NamedTuple):
     coding: Coding
 
 
-def draw_pixel(at: At, images: Drawn, _: None, drawing: Drawing) -> Outcome:
+def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Outcome:
     """Pass L3: a pixel leaves a mark at its place at each of the times."""
-    x, y, bend_x, bend_y, level = (image.here()[0] for image in images)
+    x, y, bend_x, bend_y, level = (image.here()[0] for image in images[:5])
     path = Path(x, y, level, bend_x, bend_y)
     height, width = images.x.height, images.x.width
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
-        x, y = path.at(time_of(k, drawing.intervals, path.x))
+        clock = images.times, span
+        x, y = path.at(time_when_drawn(k, drawing.intervals, path, at.row, *clock))
         right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in (x, y))
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
@@ -141,7 +140,7 @@ def moves(path: Path) -> Array:
 
 
 def owners_of(
-    paths: jax.Array, intervals: int, settings: Settings
+    paths: jax.Array, intervals: int, settings: Settings, clock: Clock | None = None
 ) -> Int[Array, "times_height width"]:
     """The owner of every pixel, as a mark, at ``intervals + 1`` times from -1 to 1.
 
@@ -149,6 +148,7 @@ def owners_of(
         paths: (H, W, 5), see `.paths.Path`.
         intervals: between the times.
         settings: radius and backend are used.
+        clock: of the shutter, whose times these are; None for the nominal one.
 
     Returns:
         Images of marks below one another, one a time; 0 where nothing that moves is. Without
@@ -167,9 +167,12 @@ def owners_of(
     drawing = Drawing(intervals, Coding.of(settings.radius))
     path = Path(*jnp.moveaxis(lax.stop_gradient(paths), -1, 0))
     level = drawing.coding.level(path.log_depth)
-    images = Drawn(*map(Image, (path.x, path.y, path.bend_x, path.bend_y, level)))
+    planes = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
+    clock = lax.stop_gradient(clock)
+    times, span = (None, None) if clock is None else (clock.times(), clock.span)
+    images = Drawn(*planes, times)
     marks = largest_marks(
-        *(draw_pixel, (height, width), images, length, None, drawing),
+        *(draw_pixel, (height, width), images, length, span, drawing),
         apart=intervals + 1,
         backend=settings.backend,
     )

@@ -22,6 +22,7 @@ from ...frame import Frame, check_frame, check_parameters, register_record
 from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ...noise import Noise, resolve_noise
 from ...settings import Settings, checked_settings
+from ...shutter import Shutter, check_shutter_record
 from .._arguments import takes
 from .._masking import append_mask, divide_by_mask
 from .._sampling import find_texel, path_samples, read_color, read_color_along
@@ -29,8 +30,9 @@ from .._weights import SPEED_FLOOR, anything_moves
 from ..builtin import LAYERED_SLICE, needs_a_slice
 from ..parameters import LayeredParameters
 from . import background
+from .clock import Clock, Span, Times, clock_of, scaled, time_of_light, time_of_owners
 from .neighbors import Neighbor, neighbor_of
-from .owners import RESTS, Coding, intervals_of, owners_of, read_owner, states_of, time_of
+from .owners import RESTS, Coding, intervals_of, owners_of, read_owner, states_of
 from .paths import Path, paths_of
 
 register_record(LayeredParameters)
@@ -49,6 +51,7 @@ class Images(NamedTuple):
         states: (H, W, 1), see `.owners.states_of`.
         background: (H, W, C + 1), see `.background.background_of`.
         noise: (H, W, 1) in [-1, 1).
+        clock: tables of the shutter; None for the nominal one.
     """
 
     color: Image
@@ -57,6 +60,19 @@ class Images(NamedTuple):
     states: Image
     background: Image
     noise: Image
+    clock: Times | None
+
+
+class Inputs(NamedTuple):
+    """Scalars of pass L5.
+
+    Attributes:
+        parameters: of the filter.
+        span: of the shutter; None for the nominal one.
+    """
+
+    parameters: LayeredParameters
+    span: Span | None
 
 
 class Guess(NamedTuple):
@@ -67,12 +83,15 @@ class Guess(NamedTuple):
         lands: how surely its own path carries it to the pixel, 0 to 1.
         depth: its log depth.
         color: its color.
+        weight: what it counts, 1 but for its derivative in the shutter's curve; None for the
+            nominal shutter.
     """
 
     way: Path
     lands: Array
     depth: Array
     color: tuple[Array, ...]
+    weight: Array | None
 
 
 class Sums(NamedTuple):
@@ -98,9 +117,9 @@ class Plan(NamedTuple):
     coding: Coding
 
 
-def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan) -> Outcome:
+def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     """Pass L5: the mean over the slices of time."""
-    settings, intervals = plan.settings, plan.intervals
+    settings, intervals, parameters = plan.settings, plan.intervals, inputs.parameters
     own = Path(*images.paths.here())
     height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
     slices = dataclasses.replace(settings, samples=plan.slices)
@@ -120,12 +139,13 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
     *behind, known = images.background.here()
     (state,) = images.states.here()
 
-    def make_guess(time: Array, index: Array) -> Guess:
+    def make_guess(light: Array, index: Array) -> Guess:
+        time, weight = time_of_light(light, at.row, images.clock, inputs.span)
         owner = read_owner(at, images.owners, index, own, plan.coding, (height, width))
         way = Path(*images.paths.read_texel(owner.texel))
         # The owner is at the pixel at its own time. From there the point that is at the pixel at
         # another time is found along its velocity, which is exact where the surface turns or moves.
-        own_time = time_of(index, intervals, own.x)
+        own_time = time_of_owners(index, intervals, own.x, at.row, images.clock, inputs.span)
         squared = own_time * own_time
         offset_x = -time * way.x - squared * way.bend_x
         offset_y = -time * way.y - squared * way.bend_y
@@ -151,7 +171,7 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
             color = read_color_along(images.color, texel, along_x)
         else:
             color = read_color(images.color, texel, "nearest")
-        return Guess(way, lands, point.log_depth, color)
+        return Guess(way, lands, point.log_depth, color, weight)
 
     def slice_of_time(i: Int[Array, ""]) -> Sums:
         # The owners before and after the slice, each for a time in its own half of it.
@@ -165,6 +185,9 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
         shares, empty = visible_shares(before, after, parameters)
         if limit is not None:
             *shares, empty = [jnp.where(i < count, share, 0) for share in (*shares, empty)]
+        if before.weight is not None and after.weight is not None:
+            shares = [shares[0] * before.weight, shares[1] * after.weight]
+            empty = empty * (before.weight + after.weight) / 2
         color = [
             shares[0] * a + shares[1] * b + empty * c
             for a, b, c in zip(before.color, after.color, behind, strict=True)
@@ -212,12 +235,14 @@ class Others(NamedTuple):
         after: the frame after, or None.
         shutter: exposure in frames.
         hidden: see `layered_with_hidden`.
+        exposure: when light comes in; None for the nominal shutter.
     """
 
     before: Frame | None
     after: Frame | None
     shutter: jax.Array
     hidden: jax.Array | None
+    exposure: Shutter | Clock | None = None
 
 
 def _blur(
@@ -235,10 +260,12 @@ def _blur(
     intervals = intervals_of(slices)
     coding = Coding.of(settings.radius)
     paths = paths_of(frame, parameters, settings)
-    owners = Image(owners_of(paths, intervals, settings))
+    clock = others.exposure if isinstance(others.exposure, Clock) else None
+    times, span = (None, None) if clock is None else (clock.times(), clock.span)
+    owners = Image(owners_of(paths, intervals, settings, clock))
     color, paths = Image(frame.color), Image(paths)
     states = Image(states_of(owners, paths, intervals, settings))
-    neighbors, times = _neighbors(others)
+    neighbors, their_times = _neighbors(others)
     hidden = others.hidden
     found = background.background_of(
         background.Images(
@@ -248,16 +275,17 @@ def _blur(
             states,
             neighbors,
             None if hidden is None else Image(hidden.reshape(-1, *hidden.shape[2:])),
+            times,
         ),
-        background.Inputs(parameters, times),
+        background.Inputs(parameters, their_times, span),
         background.Plan(settings, intervals, coding),
     )
     tap = Image(noise.tap.astype(frame.color.dtype))
     return each_pixel(
         blur_pixel,
         (height, width),
-        Images(color, paths, owners, states, Image(found), tap),
-        parameters,
+        Images(color, paths, owners, states, Image(found), tap, times),
+        Inputs(parameters, span),
         Plan(settings, slices, intervals, coding),
         kept=frame.color,
         backend=settings.backend,
@@ -269,6 +297,26 @@ def _neighbors(others: Others) -> tuple[tuple[Neighbor, ...], tuple[Array, ...]]
     given = [(frame, side) for frame, side in ((others.before, 1), (others.after, -1)) if frame]
     neighbors = tuple(neighbor_of(frame, side, others.shutter) for frame, side in given)
     return neighbors, tuple(-side * 2 / others.shutter for _, side in given)
+
+
+def _exposed(
+    frame: Frame,
+    parameters: LayeredParameters,
+    others: Others,
+    exposure: Shutter,
+    settings: Settings,
+) -> tuple[Frame, LayeredParameters, Others]:
+    """The inputs in units of the longest time at which light comes in, see `.clock`."""
+    intervals = intervals_of(settings.samples // LAYERED_SLICE)
+    clock, reach = clock_of(exposure, intervals, *frame.depth.shape[:1], frame.color.dtype)
+    near = {
+        side: None if (neighbor := getattr(others, side)) is None else scaled(neighbor, reach)
+        for side in ("before", "after")
+    }
+    others = others._replace(**near, shutter=others.shutter * reach, exposure=clock)
+    # Parameters are relative to the velocities that the frame has.
+    parameters = dataclasses.replace(parameters, distinct=parameters.distinct * reach)
+    return scaled(frame, reach), parameters, others
 
 
 def _keep(frame: Frame, *others: Any) -> jax.Array:
@@ -290,6 +338,8 @@ def _layered(
         # The frame keeps its mask, for colors that are compared.
         frame = append_mask(frame).replace(valid=mask)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
+    if isinstance(others.exposure, Shutter):
+        frame, parameters, others = _exposed(frame, parameters, others, others.exposure, settings)
     vectors = frame.velocity if frame.path is None else frame.path
     anything = anything_moves(vectors)
     blurred = cond_of_values(
@@ -299,7 +349,7 @@ def _layered(
     return blurred if mask is None else divide_by_mask(blurred)
 
 
-@takes(LayeredParameters, Settings, more=("before", "after", "shutter"))
+@takes(LayeredParameters, Settings, more=("before", "after", "shutter", "exposure"))
 def layered(
     frame: Frame,
     parameters: LayeredParameters,
@@ -309,6 +359,7 @@ def layered(
     before: Frame | None = None,
     after: Frame | None = None,
     shutter: ArrayLike = 0.5,
+    exposure: Shutter | None = None,
 ) -> jax.Array:
     """Blur by slices of time.
 
@@ -329,6 +380,10 @@ def layered(
         after: likewise the frame after.
         shutter: length of the exposure in frames, by which neighbors are related to it. Not used
             without them.
+        exposure: when the shutter opens and closes, its curve, and its rolling, in half exposures
+            of the frame's velocity; None for a box from -1 to 1. The radius limits the displacement
+            up to the longest time from 0 at which light comes in: a frame that is exposed from 0
+            to 2 needs twice the radius.
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
@@ -337,9 +392,11 @@ def layered(
 
     Raises:
         ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
-            scalar, or the settings are those of another filter.
+            scalar, the settings are those of another filter, or the exposure is none.
     """
-    others = Others(before, after, jnp.asarray(shutter), None)
+    if exposure is not None:
+        check_shutter_record(exposure)
+    others = Others(before, after, jnp.asarray(shutter), None, exposure)
     return _checked(frame, parameters, noise, others, settings)
 
 
