@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import core
 from jax.typing import ArrayLike
@@ -289,12 +288,12 @@ def check_shutter_record(shutter: object, argument: str = "exposure") -> None:
         )
     for name in ("open", "close", "readout"):
         value = getattr(shutter, name)
-        if jnp.shape(value):
+        if np.shape(value):
             raise ValueError(
-                f"`{argument}.{name}` must be a scalar, got shape {jnp.shape(value)}; for a batch "
+                f"`{argument}.{name}` must be a scalar, got shape {np.shape(value)}; for a batch "
                 "use jax.vmap."
             )
-    shape = jnp.shape(shutter.curve)
+    shape = np.shape(shutter.curve)
     if len(shape) != 1 or shape[0] < 2:
         raise ValueError(
             f"`{argument}.curve` must be one row of at least 2 values, got shape {shape}."

@@ -33,9 +33,11 @@ from .filtering import (
     describe_filters,
     report_ignored,
     require_neighbors,
+    require_shutter,
     takes_neighbors,
 )
 from .progress import remarks_once
+from .shutter import add_shutter_options, option_of, settle
 from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
@@ -88,6 +90,7 @@ def add_parser(commands: Any) -> None:
     )
     _add_plan_options(parser)
     add_vector_options(parser)
+    add_shutter_options(parser)
     parser.add_argument(
         "--require-motion",
         action="store_true",
@@ -167,11 +170,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Blur one frame, or a sequence; see `add_parser`."""
     if arguments.isolate and not isolation.in_child:
         return isolation.run(arguments)
+    settle(arguments)
     _check_plan(arguments)
     _check_motion(arguments)
     _check_colors(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
+    if arguments.exposure is not None:
+        require_shutter(asked.name, option_of(arguments))
     if sequence.is_asked_for(arguments):
         return sequence.run(arguments, asked)
     sequence.refuse_options(arguments)
@@ -242,7 +248,7 @@ def _load_subframes(
     """Read the sub-frames, each with the motion of its part of the exposure and its neighbors."""
     files = _subframe_files(arguments)
     shutter = arguments.shutter / max(len(files), 1)
-    changes = {"shutter": shutter, "truth": None}
+    changes = {"shutter": shutter, "exposure": None, "truth": None}
     parts = [argparse.Namespace(**vars(arguments) | changes | {"input": path}) for path in files]
     sources = [stages.read(part) for part in parts]
     for source in sources:
@@ -303,6 +309,11 @@ def _check_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> Non
         raise CommandError(
             f"--{sides[0]}: sub-frames are neighbors of each other; leave out one of the two."
         )
+    if arguments.subframes is not None and arguments.exposure is not None:
+        raise CommandError(
+            f"{option_of(arguments)}: sub-frames are equal parts of an exposure that is centered on "
+            "the frame; leave out one of the two."
+        )
     if sides and arguments.plan is None:
         require_neighbors(asked.name, f"--{sides[0]}")
     if arguments.subframes is not None and not _subframe_files(arguments):
@@ -329,6 +340,11 @@ def _check_plan(arguments: argparse.Namespace) -> None:
     numbers = "samples", "quality", "radius", "spacing", "temperature"
     names = ("filter", *numbers, "param", "parameters", *CHOICES)
     excluded = names if arguments.plan else ("tolerance", "budget")
+    if arguments.plan and arguments.exposure is not None:
+        raise CommandError(
+            f"{option_of(arguments)}: --plan auto may choose a filter that takes no shutter; leave "
+            "out one of the two."
+        )
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.
         if getattr(arguments, name) not in (None, []):

@@ -317,7 +317,7 @@ def apply_filter(
         settings: how to run it; plain `Settings` will do for any filter.
         seed: moves the built-in noise; None leaves it where it is.
         neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
-            each a `jaxblur.Frame`, and ``shutter``.
+            each a `jaxblur.Frame`, and ``shutter``; of one that takes a shutter: ``exposure``.
 
     Returns:
         (H, W, C) NumPy array.
@@ -358,6 +358,29 @@ def require_neighbors(name: str, option: str) -> None:
         able = " or ".join(filter(takes_neighbors, names()))
         raise CommandError(
             f"{option}: {name} takes no neighbor frames; leave it out, or pass --filter {able}."
+        )
+
+
+def takes_shutter(name: str) -> bool:
+    """Whether a registered filter takes another shutter than a centered box."""
+    return filter_info(name).takes_shutter
+
+
+def require_shutter(name: str, option: str) -> None:
+    """Reject an option of the shutter for a filter that takes none.
+
+    Args:
+        name: of a registered filter.
+        option: as on the command line.
+
+    Raises:
+        CommandError: the filter takes none; the message names those that do.
+    """
+    if not takes_shutter(name):
+        able = " or ".join(filter(takes_shutter, names()))
+        raise CommandError(
+            f"{option}: {name} knows only a box centered on the frame, whose length --shutter "
+            f"gives; leave it out, or pass --filter {able}."
         )
 
 

@@ -91,6 +91,8 @@ def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
 
     title = f"{arguments.input.name} against {arguments.truth.name}"
     settings = {"shutter": arguments.shutter, COLORS: _words(arguments)}
+    if arguments.exposure is not None:
+        settings |= arguments.exposure._replace(points=()).notes()
     if arguments.view:
         settings[VIEW] = arguments.view
     write_result(arguments.result, title, shots, settings)

@@ -24,6 +24,7 @@ from .errors import is_foreseeable, message_of
 from .filtering import find_filter, takes_neighbors
 from .progress import about_frame, frame_messages, progress
 from .recognition import settle_convention
+from .shutter import OPTIONS
 
 LOG = logging.getLogger("jaxblur")
 
@@ -51,6 +52,8 @@ NOT_A_CHOICE = frozenset(
         ),
         # Neighbors count by whether they are used; the others are for single frames.
         *("neighbors", "before", "after", "subframes"),
+        # The exposure counts by its times and its points.
+        *("exposure", *OPTIONS),
     }
 )
 
@@ -526,6 +529,8 @@ def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, A
     given = {key: value for key, value in vars(arguments).items() if key not in NOT_A_CHOICE}
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
+    if arguments.exposure is not None:
+        given["exposure"] = arguments.exposure._asdict()
     usual = dataclasses.asdict(type(asked.settings)())
     changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}

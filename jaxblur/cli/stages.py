@@ -13,6 +13,7 @@ from jaxblur.settings import Settings
 from . import sources
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter, takes_neighbors
+from .shutter import Exposure
 
 LOG = logging.getLogger("jaxblur")
 
@@ -76,6 +77,7 @@ class Loaded:
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
         neighbors: the frames ``before`` and ``after``, as far as they are used.
         shutter: exposure, in units of the time from one neighbor to the frame.
+        exposure: a `.shutter.Exposure`; None for a box centered on the frame.
     """
 
     buffers: Any
@@ -86,6 +88,7 @@ class Loaded:
     states: Any
     neighbors: Mapping[str, Source] = dataclasses.field(default_factory=dict)
     shutter: float = 0.5
+    exposure: Exposure | None = None
 
     def with_neighbors(self, neighbors: Mapping[str, Source]) -> "Loaded":
         """The frame with neighbors, whose files must not change either."""
@@ -156,7 +159,10 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     buffers = source.buffers
     truth = _read_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
-    speeds = vectors.speed_statistics(velocity, settings.radius)
+    exposure = getattr(arguments, "exposure", None)
+    # The radius limits the displacement at the longest time from the frame.
+    seen = velocity if exposure is None else velocity * np.float32(exposure.reach)
+    speeds = vectors.speed_statistics(seen, settings.radius)
     _check_motion(arguments, buffers, speeds.percentiles[100.0])
     return Loaded(
         buffers,
@@ -166,6 +172,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         source.states,
         shutter=arguments.shutter,
+        exposure=exposure,
     )
 
 
@@ -265,11 +272,13 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
-    neighbors: dict[str, Any] = {}
+    more: dict[str, Any] = {}
     if loaded.neighbors and takes_neighbors(chosen.name):
         given = {side: source.buffers.frame() for side, source in loaded.neighbors.items()}
-        neighbors = {**given, "shutter": loaded.shutter}
-    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, neighbors)
+        more = {**given, "shutter": loaded.shutter}
+    if loaded.exposure is not None:
+        more["exposure"] = loaded.exposure.shutter()
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
 
 
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
@@ -370,6 +379,8 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         "depth": buffers.depth_kind,
         "sky": arguments.sky,
     }
+    if loaded.exposure is not None and chosen.name != PASSED_THROUGH:
+        used |= loaded.exposure.notes()
     if arguments.seed is not None:
         used["seed"] = arguments.seed
     inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
