@@ -163,7 +163,8 @@ def test_a_rolling_shutter_stretches_what_moves_along_it(readout):
     # A row y sees the bar at t = readout ((y + 1/2)/H - 1/2): edges solve y = edge + speed t.
     rate = readout / height
     edges = [
-        (edge - speed * readout / 2 + speed * rate / 2) / (1 - speed * rate) for edge in (15.5, 23.5)
+        (edge - speed * readout / 2 + speed * rate / 2) / (1 - speed * rate)
+        for edge in (15.5, 23.5)
     ]
     rows = np.flatnonzero(blurred[:, 10, 0] > 0.5)
     np.testing.assert_allclose([rows[0] - 0.5, rows[-1] + 0.5], edges, atol=0.75)
@@ -354,7 +355,9 @@ def test_curves_are_those_of_the_truth(name):
 
     curve = curve_of(name)
     mean = np.mean((curve[1:] + curve[:-1]) / 2)
-    np.testing.assert_allclose(sampled(curve) / mean, sampled(scenes.shutter_curve(name)), atol=2e-3)
+    np.testing.assert_allclose(
+        sampled(curve) / mean, sampled(scenes.shutter_curve(name)), atol=2e-3
+    )
 
 
 def test_units():

@@ -4,7 +4,12 @@ from .guertin2014 import (
     guertin2014 as guertin2014,
     luma_hint as luma_hint,
 )
-from .layered import LayeredParameters as LayeredParameters, layered as layered
+from .layered import (
+    Layer as Layer,
+    LayeredParameters as LayeredParameters,
+    blur_layers as blur_layers,
+    layered as layered,
+)
 from .mcguire2012 import McGuireParameters as McGuireParameters, mcguire2012 as mcguire2012
 from .parameters import ParameterInfo as ParameterInfo, parameter as parameter
 from .pixel_velocity import pixel_velocity as pixel_velocity

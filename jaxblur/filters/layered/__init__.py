@@ -1,5 +1,6 @@
 """The layered filter: motion blur by slices of time."""
 
+from .layers import Layer as Layer, blur_layers as blur_layers
 from .slices import (
     LayeredParameters as LayeredParameters,
     layered as layered,

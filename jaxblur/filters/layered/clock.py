@@ -172,7 +172,9 @@ def time_when_drawn(
     return jnp.clip(time, -1, 1)
 
 
-def clock_of(shutter: Shutter, intervals: int, height: int, dtype: DTypeLike) -> tuple[Clock, Array]:
+def clock_of(
+    shutter: Shutter, intervals: int, height: int, dtype: DTypeLike
+) -> tuple[Clock, Array]:
     """The times of a shutter.
 
     Args:

@@ -11,6 +11,7 @@ an object covers a pixel for as long as it is there.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -117,27 +118,87 @@ class Plan(NamedTuple):
     coding: Coding
 
 
+class Slice(NamedTuple):
+    """What a pixel shows in a slice.
+
+    Attributes:
+        color: times how surely it is known.
+        known: how surely, 0 to 1.
+        light: what the slice counts, 1 but for its derivative in the shutter's curve (color and
+            `known` have it as a factor); None for the nominal shutter.
+    """
+
+    color: tuple[Array, ...]
+    known: Array
+    light: Array | None
+
+
 def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     """Pass L5: the mean over the slices of time."""
+    limit = None
+    if plan.settings.spacing:
+        limit = slices_along(longest_motion(at, images, plan), plan)
+    slice_at = slices_at(at, images, inputs, plan, limit)
+
+    def slice_of_time(i: Int[Array, ""]) -> Sums:
+        color, known, _ = slice_at(i)
+        if limit is not None:
+            *color, known = [jnp.where(i < limit, value, 0) for value in (*color, known)]
+        return Sums(tuple(color), known)
+
+    sums = sum_over(plan.slices, slice_of_time, limit)
+    # The mean, or the pixel's own color where nothing is known.
+    blurs = sums.weight > SMALLEST_WEIGHT
+    inverse = 1 / jnp.where(blurs, sums.weight, 1)
+    blurred = [
+        jnp.where(blurs, color * inverse, kept)
+        for kept, color in zip(images.color.here(), sums.color, strict=True)
+    ]
+    (state,) = images.states.here()
+    return Outcome(tuple(blurred), where=state != RESTS)
+
+
+def longest_motion(at: At, images: Images, plan: Plan) -> Array:
+    """The squared speed of the fastest of what a pixel shows and the pixel itself."""
+    own = Path(*images.paths.here())
+    size = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
+    longest = own.x**2 + own.y**2
+    for k in range(plan.intervals + 1):
+        owner = read_owner(at, images.owners, jnp.int32(k), own, plan.coding, size)
+        x, y = images.paths.read_texel(owner.texel, 2)
+        longest = jnp.maximum(longest, x**2 + y**2)
+    return longest
+
+
+def slices_along(longest: Array, plan: Plan) -> Array | None:
+    """The number of slices for a squared speed; None where every pixel has all."""
+    slices = dataclasses.replace(plan.settings, samples=plan.slices)
+    return path_samples(jnp.sqrt(longest), slices)
+
+
+def slices_at(
+    at: At, images: Images, inputs: Inputs, plan: Plan, limit: Array | None
+) -> Callable[[Array], Slice]:
+    """What a pixel shows in each slice.
+
+    Args:
+        at: the pixel.
+        images: see `Images`.
+        inputs: scalars.
+        plan: what is fixed.
+        limit: number of slices; None for all of the plan.
+
+    Returns:
+        Maps the number of a slice to it.
+    """
     settings, intervals, parameters = plan.settings, plan.intervals, inputs.parameters
     own = Path(*images.paths.here())
     height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
-    slices = dataclasses.replace(settings, samples=plan.slices)
-    limit = None
-    if settings.spacing:
-        longest = own.x**2 + own.y**2
-        for k in range(intervals + 1):
-            owner = read_owner(at, images.owners, jnp.int32(k), own, plan.coding, (height, width))
-            x, y = images.paths.read_texel(owner.texel, 2)
-            longest = jnp.maximum(longest, x**2 + y**2)
-        limit = path_samples(jnp.sqrt(longest), slices)
     count = plan.slices if limit is None else limit
-
     (noise,) = images.noise.here()
     jitter = noise * parameters.jitter / 2
     inverse_tolerance = 1 / jnp.square(parameters.landing_tolerance)
     *behind, known = images.background.here()
-    (state,) = images.states.here()
 
     def make_guess(light: Array, index: Array) -> Guess:
         time, weight = time_of_light(light, at.row, images.clock, inputs.span)
@@ -173,7 +234,7 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
             color = read_color(images.color, texel, "nearest")
         return Guess(way, lands, point.log_depth, color, weight)
 
-    def slice_of_time(i: Int[Array, ""]) -> Sums:
+    def slice_at(i: Array) -> Slice:
         # The owners before and after the slice, each for a time in its own half of it.
         first = ((2 * i + 1).astype(own.x.dtype) * (intervals / 2) / count).astype(jnp.int32)
         center = (2 * i + 1).astype(own.x.dtype) - count
@@ -183,26 +244,18 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         )
         # The nearer one hides the other, as far as they move apart.
         shares, empty = visible_shares(before, after, parameters)
-        if limit is not None:
-            *shares, empty = [jnp.where(i < count, share, 0) for share in (*shares, empty)]
+        light = None
         if before.weight is not None and after.weight is not None:
+            light = (before.weight + after.weight) / 2
             shares = [shares[0] * before.weight, shares[1] * after.weight]
-            empty = empty * (before.weight + after.weight) / 2
+            empty = empty * light
         color = [
             shares[0] * a + shares[1] * b + empty * c
             for a, b, c in zip(before.color, after.color, behind, strict=True)
         ]
-        return Sums(tuple(color), shares[0] + shares[1] + empty * known)
+        return Slice(tuple(color), shares[0] + shares[1] + empty * known, light)
 
-    sums = sum_over(plan.slices, slice_of_time, limit)
-    # The mean, or the pixel's own color where nothing is known.
-    blurs = sums.weight > SMALLEST_WEIGHT
-    inverse = 1 / jnp.where(blurs, sums.weight, 1)
-    blurred = [
-        jnp.where(blurs, color * inverse, kept)
-        for kept, color in zip(images.color.here(), sums.color, strict=True)
-    ]
-    return Outcome(tuple(blurred), where=state != RESTS)
+    return slice_at
 
 
 def visible_shares(
@@ -245,15 +298,25 @@ class Others(NamedTuple):
     exposure: Shutter | Clock | None = None
 
 
-def _blur(
+def passes_before(
     settings: Settings,
     frame: Frame,
     parameters: LayeredParameters,
     noise: Noise | None,
     others: Others,
-    _: Array,
-) -> jax.Array:
-    """The image."""
+) -> tuple[Images, Inputs, Plan]:
+    """What pass L5 reads: passes L1 to L4.
+
+    Args:
+        settings: of the filter.
+        frame: checked; velocities are in units of the longest time of the exposure.
+        parameters: arrays.
+        noise: as `layered`.
+        others: with a `Clock`, if there is an exposure.
+
+    Returns:
+        Images, scalars, and what is fixed.
+    """
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     slices = settings.samples // LAYERED_SLICE
@@ -281,14 +344,22 @@ def _blur(
         background.Plan(settings, intervals, coding),
     )
     tap = Image(noise.tap.astype(frame.color.dtype))
+    images = Images(color, paths, owners, states, Image(found), tap, times)
+    return images, Inputs(parameters, span), Plan(settings, slices, intervals, coding)
+
+
+def _blur(
+    settings: Settings,
+    frame: Frame,
+    parameters: LayeredParameters,
+    noise: Noise | None,
+    others: Others,
+    _: Array,
+) -> jax.Array:
+    """The image."""
+    inputs = passes_before(settings, frame, parameters, noise, others)
     return each_pixel(
-        blur_pixel,
-        (height, width),
-        Images(color, paths, owners, states, Image(found), tap, times),
-        Inputs(parameters, span),
-        Plan(settings, slices, intervals, coding),
-        kept=frame.color,
-        backend=settings.backend,
+        *(blur_pixel, frame.depth.shape, *inputs), kept=frame.color, backend=settings.backend
     )
 
 
@@ -299,7 +370,7 @@ def _neighbors(others: Others) -> tuple[tuple[Neighbor, ...], tuple[Array, ...]]
     return neighbors, tuple(-side * 2 / others.shutter for _, side in given)
 
 
-def _exposed(
+def exposed(
     frame: Frame,
     parameters: LayeredParameters,
     others: Others,
@@ -339,7 +410,7 @@ def _layered(
         frame = append_mask(frame).replace(valid=mask)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     if isinstance(others.exposure, Shutter):
-        frame, parameters, others = _exposed(frame, parameters, others, others.exposure, settings)
+        frame, parameters, others = exposed(frame, parameters, others, others.exposure, settings)
     vectors = frame.velocity if frame.path is None else frame.path
     anything = anything_moves(vectors)
     blurred = cond_of_values(
@@ -449,16 +520,7 @@ def _checked(
     needs_a_slice(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
     for name, neighbor in given.items():
-        if neighbor is None:
-            continue
-        if not isinstance(neighbor, Frame):
-            kind = type(neighbor).__name__
-            raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
-        if jnp.shape(neighbor.color) != jnp.shape(frame.color):
-            raise ValueError(
-                f"`{name}` must have the shape of `frame`, {jnp.shape(frame.color)}, got "
-                f"{jnp.shape(neighbor.color)}."
-            )
+        check_neighbor(name, neighbor, frame)
     if any(f is not None and f.valid is not None for f in (frame, *given.values())):
         everything = jnp.ones(jnp.shape(frame.depth), bool)
 
@@ -472,3 +534,24 @@ def _checked(
         given = {k: None if f is None else check_frame(f) for k, f in given.items()}
         others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)
+
+
+def check_neighbor(name: str, neighbor: Frame | None, frame: Frame) -> None:
+    """Reject a neighbor that is no frame, or of another shape.
+
+    Args:
+        name: of the argument.
+        neighbor: it.
+        frame: that it is a neighbor of.
+
+    Raises:
+        ValueError: see above.
+    """
+    if neighbor is None:
+        return
+    if not isinstance(neighbor, Frame):
+        kind = type(neighbor).__name__
+        raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
+    expected, shape = jnp.shape(frame.color), jnp.shape(neighbor.color)
+    if shape != expected:
+        raise ValueError(f"`{name}` must have the shape of `frame`, {expected}, got {shape}.")

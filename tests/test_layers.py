@@ -1,0 +1,158 @@
+"""Layers composited at every time of the exposure, against renders of many times."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import Layer, blur_layers
+
+SIZE = (40, 72)
+SETTINGS = jaxblur.Settings(samples=66, radius=24, fetch="bilinear", noise="none")
+
+
+def disc(center, radius, offset=0.0):
+    """Coverage of a disc, antialiased."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    distance = np.hypot(columns - center[0] - offset, rows - center[1])
+    return np.clip(radius + 0.5 - distance, 0, 1)[..., None]
+
+
+def stripes(offset=0.0):
+    columns = np.arange(SIZE[1]) - offset
+    value = 0.5 + 0.4 * np.sin(columns * 0.35)
+    return np.broadcast_to(value[None, :, None], (*SIZE, 1))
+
+
+def over(front, back):
+    return front + (1 - front[..., 1:]) * back
+
+
+def front_image(offset=0.0):
+    """A bright disc with a hole."""
+    alpha = disc((36, 20), 13, offset) - disc((36, 20), 5, offset)
+    return np.concatenate([0.9 * alpha, alpha], axis=-1)
+
+
+def back_image(offset=0.0):
+    return np.concatenate([stripes(offset), np.ones((*SIZE, 1))], axis=-1)
+
+
+def frame_of(color, speed, depth):
+    covered = color[..., 1] > 0
+    velocity = np.where(covered[..., None], [speed, 0.0], 0.0)
+    depths = np.where(covered, depth, np.inf)
+    return jaxblur.Frame(*(jnp.asarray(b, jnp.float32) for b in (color, depths, velocity)))
+
+
+def layers_of(front_speed, back_speed):
+    return [frame_of(front_image(), front_speed, 2.0), frame_of(back_image(), back_speed, 9.0)]
+
+
+def truth_of(front_speed, back_speed, times=None):
+    times = np.linspace(-1, 1, 401)[:-1] + 1 / 400 if times is None else times
+    return np.mean(
+        [over(front_image(t * front_speed), back_image(t * back_speed)) for t in times], axis=0
+    )
+
+
+def error(image, truth):
+    inner = np.s_[:, 14:-14]
+    return np.sqrt(np.mean((np.asarray(image) - truth)[inner] ** 2))
+
+
+@pytest.mark.parametrize("speeds", [(10.0, 0.0), (8.0, 8.0), (9.0, -6.0)])
+def test_what_is_behind_is_seen_through_the_hole_at_its_own_time(speeds):
+    layers, truth = layers_of(*speeds), truth_of(*speeds)
+    together = blur_layers(layers, settings=SETTINGS)
+    assert error(together, truth) < 0.015
+    # Composited after the blur, as a compositor does it, both edges let the background through.
+    blurred = [
+        np.asarray(jaxblur.layered(layer, jaxblur.LayeredParameters(), settings=SETTINGS))
+        for layer in layers
+    ]
+    assert error(together, truth) <= error(over(*blurred), truth) + 1e-3
+    if speeds == (8.0, 8.0):
+        assert error(over(*blurred), truth) > 3 * error(together, truth)
+    np.testing.assert_allclose(np.asarray(together)[..., 1], 1, atol=1e-5)
+
+
+def test_one_layer_is_blurred_as_layered_blurs_it():
+    (front, _) = layers_of(10.0, 0.0)
+    alone = jaxblur.layered(front, jaxblur.LayeredParameters(), settings=SETTINGS)
+    np.testing.assert_allclose(blur_layers([front], settings=SETTINGS), alone, atol=2e-6)
+
+
+def test_a_holdout_hides_and_is_not_seen():
+    front, back = layers_of(10.0, 0.0)
+    cut = np.asarray(blur_layers([Layer(front, holdout=True), back], settings=SETTINGS))
+    coverage = np.asarray(blur_layers([front], settings=SETTINGS))[..., 1]
+    np.testing.assert_allclose(cut[..., 1], 1 - coverage, atol=1e-5)
+    still = [dataclasses.replace(layer, velocity=0 * layer.velocity) for layer in (front, back)]
+    cut = np.asarray(blur_layers([Layer(still[0], holdout=True), still[1]], settings=SETTINGS))
+    np.testing.assert_allclose(cut, (1 - front_image()[..., 1:]) * back_image(), atol=1e-6)
+
+
+def test_layers_at_rest_are_composited_as_they_are():
+    layers = layers_of(0.0, 0.0)
+    np.testing.assert_allclose(
+        blur_layers(layers, settings=SETTINGS), over(front_image(), back_image()), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("backend", ["native", "xla"])
+def test_derivatives_are_those_of_the_picture(backend):
+    settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
+    front, back = layers_of(8.0, 0.0)
+    target = truth_of(9.0, 0.0)
+
+    def loss(gain):
+        bright = front.replace(color=front.color * jnp.array([gain, 1.0]))
+        return jnp.mean((blur_layers([bright, back], settings=settings) - target) ** 2)
+
+    slope = jax.grad(loss)(1.0)
+    difference = (loss(1.01) - loss(0.99)) / 0.02
+    assert slope == pytest.approx(float(difference), rel=2e-3)
+
+
+def test_a_shutter_weighs_all_layers_once():
+    layers, shutter = layers_of(9.0, -6.0), jaxblur.Shutter.triangle()
+    times = np.concatenate(
+        [1 - np.sqrt(np.linspace(0, 1, 200)), np.sqrt(np.linspace(0, 1, 200)) - 1]
+    )
+    blurred = blur_layers(layers, settings=SETTINGS, exposure=shutter)
+    assert error(blurred, truth_of(9.0, -6.0, times)) < 0.02
+
+    def brightness(top):
+        curve = jnp.array([1.0, 1.0, top])
+        return jnp.mean(
+            blur_layers(layers, settings=SETTINGS, exposure=jaxblur.Shutter(curve=curve))
+        )
+
+    # Light that comes in at any time shows the same opaque picture but for its borders.
+    assert abs(jax.grad(brightness)(1.0)) < 0.02
+
+
+def test_neighbors_and_spacing_are_taken_too():
+    front, back = layers_of(10.0, 0.0)
+    near = Layer(front, before=front, after=front)
+    settings = dataclasses.replace(SETTINGS, spacing=1.0)
+    assert error(blur_layers([near, back], settings=settings), truth_of(10.0, 0.0)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("layers", "words"),
+    [
+        (lambda a, b: [], "sequence of frames"),
+        (lambda a, b: [a, b.replace(color=b.color[..., :1])], r"`layers\[1\]` must have the shape"),
+        (lambda a, b: [f.replace(color=f.color[..., :1]) for f in (a, b)], "alpha"),
+        (lambda a, b: [a.replace(valid=jnp.ones(SIZE)), b], "mask"),
+        (lambda a, b: [Layer(a, before=b.replace(color=b.color[1:])), b], r"`layers\[0\].before`"),
+    ],
+)
+def test_what_is_no_stack_is_refused(layers, words):
+    with pytest.raises(ValueError, match=words):
+        blur_layers(layers(*layers_of(1.0, 0.0)))
