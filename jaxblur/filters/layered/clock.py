@@ -13,7 +13,6 @@ radius limits the displacement that is really seen.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import DTypeLike

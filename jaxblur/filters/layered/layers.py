@@ -228,17 +228,18 @@ def _blended(
         through = through * (1 - jnp.clip(frame.color[..., -1:], 0, 1))
     images, inputs, plan = [], None, None
     for layer, frame in zip(layers, frames, strict=True):
-        near = [None if f is None else check_frame(f) for f in (layer.before, layer.after)]
-        others = Others(*near, shutter, None)
+        before, after = (None if f is None else check_frame(f) for f in (layer.before, layer.after))
+        others = Others(before, after, shutter, None)
         of_layer = parameters
         if exposure is not None:
             frame, of_layer, others = exposed(frame, parameters, others, exposure, settings)
         image, inputs, plan = passes_before(settings, frame, of_layer, noise, others)
         images.append(image)
     assert inputs is not None and plan is not None
+    height, width = frames[0].depth.shape
     return each_pixel(
         blend_pixel,
-        frames[0].depth.shape,
+        (height, width),
         Stack(tuple(images), Image(sharp)),
         inputs,
         StackPlan(plan, holdouts),

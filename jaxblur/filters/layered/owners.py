@@ -167,10 +167,10 @@ def owners_of(
     drawing = Drawing(intervals, Coding.of(settings.radius))
     path = Path(*jnp.moveaxis(lax.stop_gradient(paths), -1, 0))
     level = drawing.coding.level(path.log_depth)
-    planes = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
+    x, y, bend_x, bend_y, level = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
     clock = lax.stop_gradient(clock)
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    images = Drawn(*planes, times)
+    images = Drawn(x, y, bend_x, bend_y, level, times)
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, span, drawing),
         apart=intervals + 1,
@@ -222,8 +222,9 @@ def states_of(
         `MISSES` where at some time nothing of the frame is there. Without derivatives.
     """
     images = Maps(owners, Image(lax.stop_gradient(paths.values)))
+    height, width = paths.values.shape[:2]
     return each_pixel(
-        *(state_of_pixel, paths.values.shape[:2], images, None, intervals),
+        *(state_of_pixel, (height, width), images, None, intervals),
         backend=settings.backend,
     )
 

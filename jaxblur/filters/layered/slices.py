@@ -357,9 +357,12 @@ def _blur(
     _: Array,
 ) -> jax.Array:
     """The image."""
-    inputs = passes_before(settings, frame, parameters, noise, others)
+    images, inputs, plan = passes_before(settings, frame, parameters, noise, others)
+    height, width = frame.depth.shape
     return each_pixel(
-        *(blur_pixel, frame.depth.shape, *inputs), kept=frame.color, backend=settings.backend
+        *(blur_pixel, (height, width), images, inputs, plan),
+        kept=frame.color,
+        backend=settings.backend,
     )
 
 
@@ -379,7 +382,7 @@ def exposed(
 ) -> tuple[Frame, LayeredParameters, Others]:
     """The inputs in units of the longest time at which light comes in, see `.clock`."""
     intervals = intervals_of(settings.samples // LAYERED_SLICE)
-    clock, reach = clock_of(exposure, intervals, *frame.depth.shape[:1], frame.color.dtype)
+    clock, reach = clock_of(exposure, intervals, frame.depth.shape[0], frame.color.dtype)
     near = {
         side: None if (neighbor := getattr(others, side)) is None else scaled(neighbor, reach)
         for side in ("before", "after")
