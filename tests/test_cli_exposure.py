@@ -1,4 +1,4 @@
-"""The shutter of ``jaxblur blur``: position, times, curve, readout; in files, sequences, messages."""
+"""The shutter of ``jaxblur blur``: position, times, curve, readout, in files and sequences."""
 
 import tomllib
 
@@ -193,7 +193,10 @@ def test_a_binary_file_is_no_curve(tmp_path):
 
 
 def test_names_are_those_of_the_library():
-    assert (shutter.CURVES, shutter.POSITIONS) == (jaxblur.shutter.CURVES, jaxblur.shutter.POSITIONS)
+    assert (shutter.CURVES, shutter.POSITIONS) == (
+        jaxblur.shutter.CURVES,
+        jaxblur.shutter.POSITIONS,
+    )
 
 
 def test_the_radius_is_that_of_the_longest_time(tmp_path):

@@ -86,9 +86,7 @@ def one_sided() -> list[list[Any]]:
         ends = np.asarray(scenes.render(scene, 0.0, 2.0, SIZE, path=True, subpixels=1).path)
         both = EXPOSURE / 2 * (ends[..., 1, :] - ends[..., 0, :]) / 2
         before = -EXPOSURE / 2 * ends[..., 0, :]
-        early = Shutter.from_frames(
-            -0.5 - EXPOSURE / 2, -0.5 + EXPOSURE / 2, exposure=EXPOSURE
-        )
+        early = Shutter.from_frames(-0.5 - EXPOSURE / 2, -0.5 + EXPOSURE / 2, exposure=EXPOSURE)
         centered, at_end, half_early = (
             truth_of(name),
             truth_of(name, placement="trailing"),

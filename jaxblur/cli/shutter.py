@@ -282,7 +282,9 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
             if position == 0:
                 # Names of the columns.
                 continue
-            raise CommandError(f"{path}: line {number} holds something else than numbers.") from None
+            raise CommandError(
+                f"{path}: line {number} holds something else than numbers."
+            ) from None
         if len(row) > 2 or (rows and len(row) != len(rows[0])) or not all(map(math.isfinite, row)):
             raise CommandError(
                 f"{path}: line {number}: expected a finite number, or a time and a number, as in "
@@ -296,9 +298,7 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
     return rows
 
 
-def _evenly(
-    path: pathlib.Path, times: list[float], values: list[float]
-) -> tuple[float, ...]:
+def _evenly(path: pathlib.Path, times: list[float], values: list[float]) -> tuple[float, ...]:
     """The curve at evenly spaced times; the first is the opening, the last the closing."""
     import numpy as np
 

@@ -307,7 +307,7 @@ def _exposed(
 ) -> tuple[Frame, LayeredParameters, Others]:
     """The inputs in units of the longest time at which light comes in, see `.clock`."""
     intervals = intervals_of(settings.samples // LAYERED_SLICE)
-    clock, reach = clock_of(exposure, intervals, *frame.depth.shape[:1], frame.color.dtype)
+    clock, reach = clock_of(exposure, intervals, frame.depth.shape[0], frame.color.dtype)
     near = {
         side: None if (neighbor := getattr(others, side)) is None else scaled(neighbor, reach)
         for side in ("before", "after")
