@@ -208,8 +208,9 @@ class Shutter:
 def curve_of(name: str) -> np.ndarray:
     """A named curve.
 
-    ``box`` opens and closes at once, ``trapezoid`` takes a quarter of the time for each, ``triangle``
-    half, and ``gaussian`` has a standard deviation of a sixth: those of `jaxblur.scenes`.
+    ``box`` opens and closes at once, ``trapezoid`` takes a quarter of the time for each,
+    ``triangle`` half, and ``gaussian`` has a standard deviation of a sixth: those of
+    `jaxblur.scenes`.
 
     Args:
         name: one of `CURVES`.

@@ -1,4 +1,4 @@
-"""The shutter of ``jaxblur blur``: position, times, curve, readout; in files, sequences, messages."""
+"""The shutter of ``jaxblur blur``: position, times, curve, readout, in files and sequences."""
 
 import tomllib
 

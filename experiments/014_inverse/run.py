@@ -32,7 +32,6 @@ WANTED = 0.3
 SMOOTH = 1e-3
 """The loss is the mean of ``sqrt(d^2 + SMOOTH^2)``: what no motion explains counts little."""
 
-EXPOSURES = 8
 COLORS = 160
 """Of a committed picture."""
 
@@ -183,23 +182,23 @@ def save(figure: Any, path: Path) -> None:
 def shutter_curve(folder: Path, camera: problems.Problem, size: tuple[int, int], samples: int):
     """Find the curve of a triangular shutter while the motion is known.
 
-    The filter has no shutter curve. A symmetric curve that falls from the middle to the ends is a
-    mean of exposures of several lengths around the same middle, and these the filter makes. Ten
-    warps can be weighted one by one.
+    The filter exposes each of ten equal parts of the exposure by itself. These images, and those of
+    ten warps, are weighted one by one.
     """
     scene, intrinsics = problems.court(size)
     blurred = scenes.accumulate(scene, 0.0, 1.0, samples, size, "triangle")
     color, depth = camera.frame.color, camera.frame.depth
-    shares = (jnp.arange(EXPOSURES) + 1) / EXPOSURES
+    edges = jnp.linspace(-1, 1, models.TIMES + 1)
 
     @jax.jit
     def exposures() -> jax.Array:
-        # Shorter exposures are other twists, so that curved paths are right too.
-        images = []
-        for share in shares:
-            path = known_path(depth, share, intrinsics)
-            images.append(models.MODELS["layered"](color, depth, path))
-        return jnp.stack(images)
+        frame = jaxblur.Frame.from_motion(color, depth, path=known_path(depth, 1.0, intrinsics))
+
+        def part(ends: jax.Array) -> jax.Array:
+            exposure = jaxblur.Shutter(ends[0], ends[1])
+            return jaxblur.layered(frame, jaxblur.LayeredParameters(), exposure=exposure)
+
+        return jax.lax.map(part, jnp.stack([edges[:-1], edges[1:]], axis=1))
 
     @jax.jit
     def frames() -> jax.Array:
@@ -207,15 +206,12 @@ def shutter_curve(folder: Path, camera: problems.Problem, size: tuple[int, int],
         return jax.lax.map(lambda t: models.warped(color, path, t), models.times_of())
 
     position = (np.arange(200) + 0.5) / 100 - 1
-    nested = (np.abs(position)[:, None] < shares) / np.asarray(shares)
     apart = np.digitize(position, np.linspace(-1, 1, models.TIMES + 1)[1:-1])
-    bases = {
-        "layered": (exposures, nested),
-        "10 warps": (frames, models.TIMES * np.eye(models.TIMES)[apart]),
-    }
+    basis = models.TIMES * np.eye(models.TIMES)[apart]
+    images_by = {"layered": exposures, "10 warps": frames}
     true = 2 * (1 - np.abs(position))
     rows, curves = [], {"true": true}
-    for name, (images_of, basis) in bases.items():
+    for name, images_of in images_by.items():
         jax.block_until_ready(images_of())
         start = time.perf_counter()
         images = jax.block_until_ready(images_of())

@@ -311,8 +311,8 @@ def _check_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> Non
         )
     if arguments.subframes is not None and arguments.exposure is not None:
         raise CommandError(
-            f"{option_of(arguments)}: sub-frames are equal parts of an exposure that is centered on "
-            "the frame; leave out one of the two."
+            f"{option_of(arguments)}: sub-frames are equal parts of an exposure centered on the "
+            "frame; leave out one of the two."
         )
     if sides and arguments.plan is None:
         require_neighbors(asked.name, f"--{sides[0]}")

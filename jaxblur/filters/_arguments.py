@@ -126,7 +126,7 @@ def _unknown_option(
     if option == "exposure":
         able = " or ".join(each for each in names() if filter_info(each).takes_shutter)
         return (
-            f"`exposure`: {name} knows only a box centered on the frame, whose length is that of the "
-            f"frame's velocity (for another one scale the velocity); {able} takes any shutter."
+            f"`exposure`: {name} knows only a box centered on the frame, as long as its velocity "
+            f"says (for another one scale the velocity); {able} takes any shutter."
         )
     return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."

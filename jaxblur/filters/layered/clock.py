@@ -1,10 +1,10 @@
 """When the slices and the maps of owners of `layered` are, under any shutter.
 
-Both are spread evenly over the *light* that comes in, u from -1 to 1. For the nominal shutter, a box
-from -1 to 1 that all rows share, that is the time itself. Otherwise the time at which a share of the
-light has come in is read from a table, so that no slice is spent where the curve is 0; the time of
-a row of a rolling shutter is later by as much as it is read later. As the curve changes, the times
-stay and their weights change, which is the exact derivative of a mean of samples.
+Both are spread evenly over the *light* that comes in, u from -1 to 1. For the nominal shutter, a
+box from -1 to 1 that all rows share, that is the time itself. Otherwise the time at which a share
+of the light has come in is read from a table, so that no slice is spent where the curve is 0; the
+rows of a rolling shutter are exposed one after the other. As the curve changes, times stay and
+their weights change, which is the exact derivative of a mean of samples.
 
 Where a path is longer than the nominal exposure shows, the frame is first scaled to the longest
 time at which light comes in (`Clock.reach`), so that times are within [-1, 1] here too, and the
@@ -28,8 +28,8 @@ CELLS = 256
 """Cells of the table, which are of equal light."""
 
 LEAST_SLOPE = 0.1
-"""Least change of a row's time, as a share, that solves for when a point is seen; less where it moves
-nearly as fast as the rows are read."""
+"""Least slope by which the time of a point is found; it is less where points move nearly as fast as
+the rows are read."""
 
 STEPS = 2
 """Steps of Newton's method for points whose paths are bent."""
