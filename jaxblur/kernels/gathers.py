@@ -252,9 +252,10 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
         *(_one_sample(stages, planes, dtype.name), 1, everywhere),
         *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
     )
-    # Scalars are as fast to compute as to read.
-    scalars = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
-    values = replaced(scalars, planes, [plane[..., None] for plane in found])
+    if len(planes) < len(values):
+        # Scalars are as fast to compute as to read.
+        values = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
+    values = replaced(values, planes, [plane[..., None] for plane in found])
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
 
 

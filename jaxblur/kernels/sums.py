@@ -25,7 +25,7 @@ from jax.interpreters import ad, batching, mlir
 from ..settings import Backend
 from .cpp import native_gather, native_pull
 from .operators import Operator
-from .tracing import Grid, Place, Stages
+from .tracing import Grid, Kind, Place, Stages, table_shape
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
@@ -171,9 +171,26 @@ def _add(totals: Terms, more: Terms) -> Terms:
 
 def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
-    leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-    terms = jax.eval_shape(plan.terms, jax.ShapeDtypeStruct((1,), jnp.int32), leaves)
-    return [jax.ShapeDtypeStruct(term.shape[:2], term.dtype) for term in terms]
+    kinds = tuple(Kind(leaf.dtype.name, leaf.shape[-1] if leaf.ndim else 0) for leaf in leaves)
+    x64 = jnp.result_type(float) == jnp.float64
+    types = _types(plan.sample, kinds, plan.locals, len(plan.grid.sizes), x64)
+    return [jax.ShapeDtypeStruct((plan.grid.height, plan.grid.width), of) for of in types]
+
+
+@functools.lru_cache(maxsize=512)
+def _types(
+    sample: Sample, kinds: tuple[Kind, ...], locals_: int, sizes: int, _x64: bool
+) -> tuple[Any, ...]:
+    """Types of the terms, from one evaluation on scalars: that on planes takes several times as
+    long to trace, and a derivative asks for them often."""
+    index = jax.ShapeDtypeStruct((), jnp.int32)
+    local = [
+        tuple(jax.ShapeDtypeStruct((), kind.dtype) for _ in range(max(kind.channels, 1)))
+        for kind in kinds[:locals_]
+    ]
+    tables = [table_shape(kind) for kind in kinds[locals_:]]
+    terms = jax.eval_shape(sample, index, Place(index, index, (index,) * sizes), local, tables)
+    return tuple(term.dtype for term in terms)
 
 
 def _zero_sums(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
