@@ -24,6 +24,7 @@ from jax.interpreters import ad, batching, mlir
 
 from ..settings import Backend
 from .cpp import native_gather, native_pull
+from .keys import Keyed, key_of
 from .operators import Operator
 from .tracing import Grid, Kind, Place, Stages, table_shape
 
@@ -133,10 +134,10 @@ def _sums(plan: Plan, operands: Sequence[jax.Array]) -> Terms:
 def _only(sample: Sample, limit: Callable[..., Any] | None, samples: int) -> Stages:
     """Stages that sum a sample where a plane, the first of the local values, is not 0."""
     return Stages(
-        where=lambda place, local, tables: (local[0][0], ()),
-        prepare=lambda place, local, tables, found: local[1:],
+        where=Keyed(lambda place, local, tables: (local[0][0], ()), "where the first"),
+        prepare=Keyed(lambda place, local, tables, found: local[1:], "the others"),
         sample=sample,
-        finish=lambda place, sums, prepared, local: sums,
+        finish=Keyed(lambda place, sums, prepared, local: sums, "sums"),
         limit=limit,
         samples=samples,
     )
@@ -235,7 +236,8 @@ _sum_operator = Operator(
 @functools.lru_cache(maxsize=512)
 def _augmented(sample: Sample, active: tuple[int, ...]) -> Sample:
     """`_with_derivatives` of a sample."""
-    return functools.partial(_with_derivatives, sample, active)
+    augmented = functools.partial(_with_derivatives, sample, active)
+    return Keyed(augmented, key_of(("augmented", sample, active)))
 
 
 def _with_derivatives(
