@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Int
 
-from ...kernels import At, Image, Outcome, largest_marks, mark_over
+from ...kernels import At, Image, Outcome, largest_marks, mark_over, still_place
 from ...settings import Settings
 from .._weights import SPEED_FLOOR
 from .paths import Path
@@ -177,10 +177,12 @@ class Owner(NamedTuple):
     Attributes:
         exists: whether there is one.
         texel: its row-major number; that of the pixel itself where there is none.
+        level: of its depth, see `Coding.level`; 0 where there is none.
     """
 
     exists: Array
     texel: Array
+    level: Array
 
 
 def read_owner(
@@ -201,8 +203,51 @@ def read_owner(
     """
     height, width = size
     (mark,) = owners.read(time * height + at.row, at.column)
-    rests = ~moves(own) & (coding.level_of(mark, own.x) <= coding.level(own.log_depth))
+    level, own_level = coding.level_of(mark, own.x), coding.level(own.log_depth)
+    rests = ~moves(own) & (level <= own_level)
     right, down = coding.offset_of(mark)
     drawn = (mark != 0) & ~rests
     right, down = (jnp.where(drawn, offset, 0) for offset in (right, down))
-    return Owner(drawn | rests, (at.row - down) * width + at.column - right)
+    texel = (at.row - down) * width + at.column - right
+    return Owner(drawn | rests, texel, jnp.where(rests, own_level, level))
+
+
+def moving_owner(
+    at: At, owners: Image, paths: Image, time: Array, intervals: int, coding: Coding
+) -> Owner:
+    """`read_owner`, with the derivative that the motion of the owners gives.
+
+    When a surface moves, its outline moves in the map of owners, and other pixels get another
+    owner. The map is taken to move as the nearest of the surfaces at the pixel and at the four
+    beside it: of two the one in front carries the outline between them. So the derivative is that
+    of a read at the offset ``-(x - floor(x + 1/2))``, x being the displacement of that surface.
+
+    Args:
+        at: the pixel.
+        owners: what `owners_of` gives.
+        paths: (H, W, 5), see `.paths.Path`.
+        time: number of the time.
+        intervals: between the times.
+        coding: of the marks.
+
+    Returns:
+        The owner.
+    """
+    size = jnp.asarray(paths.height), jnp.asarray(paths.width)
+
+    def owner_beside(right: Array | int, down: Array | int) -> Owner:
+        row = jnp.clip(at.row + down, 0, size[0] - 1)
+        column = jnp.clip(at.column + right, 0, size[1] - 1)
+        own = Path(*paths.read(row, column))
+        return read_owner(At(row, column), owners, time, own, coding, size)
+
+    front = owner_beside(0, 0)
+    for right, down in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        other = owner_beside(right, down)
+        nearer = other.level > front.level
+        front = Owner(*(jnp.where(nearer, *pair) for pair in zip(other, front, strict=True)))
+    path = Path(*paths.read_texel(front.texel))
+    x, y = path.at(time_of(time, intervals, path.x))
+    carries = front.exists & moves(path)
+    offset = (jnp.where(carries, jnp.floor(part + 0.5) - part, 0) for part in (x, y))
+    return owner_beside(*still_place(*offset))

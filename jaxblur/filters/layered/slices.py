@@ -30,7 +30,7 @@ from ..builtin import LAYERED_SLICE, needs_a_slice
 from ..parameters import LayeredParameters
 from . import background
 from .neighbors import Neighbor, neighbor_of
-from .owners import Coding, intervals_of, moves, owners_of, read_owner, time_of
+from .owners import Coding, intervals_of, moves, moving_owner, owners_of, read_owner, time_of
 from .paths import Path, paths_of
 
 register_record(LayeredParameters)
@@ -122,7 +122,7 @@ def blur_pixel(at: At, images: Images, parameters: LayeredParameters, plan: Plan
     *behind, known = images.background.here()
 
     def make_guess(time: Array, index: Array) -> Guess:
-        owner = read_owner(at, images.owners, index, own, plan.coding, (height, width))
+        owner = moving_owner(at, images.owners, images.paths, index, intervals, plan.coding)
         way = Path(*images.paths.read_texel(owner.texel))
         # The owner is at the pixel at its own time. From there the point that is at the pixel at
         # another time is found along its velocity, which is exact where the surface turns or moves.
