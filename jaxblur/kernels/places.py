@@ -206,7 +206,7 @@ class _Stage:
         moved = list(whole)
         moved[axis] = whole[axis] + side
         others = place.moved(self, look, moved)
-        slope = side * jnp.where(along == 0, 1, 12 * along * along)
+        slope = side * (1 if place.still else jnp.where(along == 0, 1, 12 * along * along))
         return [
             slope.astype(other.dtype) * (other - results[k])
             for k, other in zip(place.results, others, strict=True)

@@ -241,13 +241,17 @@ def moving_owner(
         own = Path(*paths.read(row, column))
         return read_owner(At(row, column), owners, time, own, coding, size)
 
-    front = owner_beside(0, 0)
-    for right, down in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        other = owner_beside(right, down)
-        nearer = other.level > front.level
-        front = Owner(*(jnp.where(nearer, *pair) for pair in zip(other, front, strict=True)))
-    path = Path(*paths.read_texel(front.texel))
-    x, y = path.at(time_of(time, intervals, path.x))
-    carries = front.exists & moves(path)
-    offset = (jnp.where(carries, jnp.floor(part + 0.5) - part, 0) for part in (x, y))
+    own = owner_beside(0, 0)
+
+    def offset(axis: int) -> Array:
+        front = own
+        for side in (1, -1):
+            other = owner_beside(*((side, 0) if axis == 0 else (0, side)))
+            nearer = other.level > front.level
+            front = Owner(*(jnp.where(nearer, *pair) for pair in zip(other, front, strict=True)))
+        path = Path(*paths.read_texel(front.texel))
+        part = path.at(time_of(time, intervals, path.x))[axis]
+        return jnp.where(front.exists & moves(path), jnp.floor(part + 0.5) - part, 0)
+
+    offset = offset(0), offset(1)
     return owner_beside(*still_place(*offset))
