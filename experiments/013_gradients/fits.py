@@ -84,7 +84,9 @@ def judge(name: str, example: common.Example, parameters: dict[str, float]) -> l
 
 def folds(name: str, steps: int) -> list[dict[str, Any]]:
     """What is fitted without each scene, and the scores there before and after."""
-    examples = [common.catalogue_example(n, SIZE, SHUTTER, TRUTH_SAMPLES, path=True) for n in SCENES]
+    examples = [
+        common.catalogue_example(n, SIZE, SHUTTER, TRUTH_SAMPLES, path=True) for n in SCENES
+    ]
     found = []
     for example in examples:
         parameters = fitted(name, [e for e in examples if e is not example], steps)

@@ -17,6 +17,10 @@ interpolation, so that motion along an axis has a derivative across it.
 The interpolation is between results, not between the texels that are read: two opposed velocities
 would cancel. It varies one axis at a time, and where a program reads at several places, one place
 at a time.
+
+The offset of a still place is that of a table which moves while the pixel stays. It is often the
+same for all samples of a surface, so that a share near the border alone would be 0 or far too
+large. Its share of the neighbor is |a|: of the two pixels at an outline exactly one counts.
 """
 
 import functools

@@ -218,9 +218,10 @@ def moving_owner(
     """`read_owner`, with the derivative that the motion of the owners gives.
 
     When a surface moves, its outline moves in the map of owners, and other pixels get another
-    owner. The map is taken to move as the nearest of the surfaces at the pixel and at the four
-    beside it: of two the one in front carries the outline between them. So the derivative is that
-    of a read at the offset ``-(x - floor(x + 1/2))``, x being the displacement of that surface.
+    owner. Of two surfaces the one in front carries the outline between them. So along each axis
+    the map is taken to move as the nearest of the surfaces at the pixel and at the two beside it:
+    the derivative is that of a read at the offset ``-(x - floor(x + 1/2))``, x being the
+    displacement of that surface. The value is that of `read_owner` to the bit.
 
     Args:
         at: the pixel.
@@ -243,7 +244,7 @@ def moving_owner(
 
     own = owner_beside(0, 0)
 
-    def offset(axis: int) -> Array:
+    def moved(axis: int) -> Array:
         front = own
         for side in (1, -1):
             other = owner_beside(*((side, 0) if axis == 0 else (0, side)))
@@ -253,5 +254,4 @@ def moving_owner(
         part = path.at(time_of(time, intervals, path.x))[axis]
         return jnp.where(front.exists & moves(path), jnp.floor(part + 0.5) - part, 0)
 
-    offset = offset(0), offset(1)
-    return owner_beside(*still_place(*offset))
+    return owner_beside(*still_place(moved(0), moved(1)))

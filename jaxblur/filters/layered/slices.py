@@ -331,8 +331,9 @@ def layered(
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
-        are returned bit for bit. Differentiable in every input, but for the number of slices, for
-        what is in front, and for which surface a hidden color is taken from.
+        are returned bit for bit. Differentiable in every input, with outlines that move, but for
+        the number of slices, for which of two depths is in front, and for which surface a hidden
+        color is taken from.
 
     Raises:
         ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
