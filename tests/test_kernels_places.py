@@ -7,7 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur.kernels import At, Image, Outcome, each_pixel, nearest_place, sum_over
+from jaxblur.kernels import (
+    At,
+    Image,
+    Outcome,
+    each_pixel,
+    nearest_place,
+    recorded_passes,
+    still_place,
+    sum_over,
+)
+from jaxblur.kernels.cpp import build, emit
 from jaxblur.settings import Backend
 
 SIZE = (9, 11)
@@ -41,6 +51,19 @@ def squares(at: At, images: Images, scale, blends) -> Outcome:
 def without_sum(at: At, images: Images, scale, blends) -> Outcome:
     x, y = images.offset.here()
     return Outcome((jnp.square(read(at, images, scale * x, scale * y, blends)),))
+
+
+def still(at: At, images: Images, scale, _) -> Outcome:
+    """The square of the value at the pixel, of an image that moves by ``-scale * offset``."""
+    x, y = (scale * part for part in images.offset.here())
+
+    def sample(i):
+        across, down = still_place(jnp.sin(x) / 2, jnp.sin(y) / 2)
+        row = jnp.clip(at.row + down, 0, images.values.height - 1)
+        column = jnp.clip(at.column + across, 0, images.values.width - 1)
+        return (i + 1) * jnp.square(images.values.read(row, column)[0])
+
+    return Outcome((sum_over(2, sample),))
 
 
 def inputs(seed=0):
@@ -97,6 +120,32 @@ def test_the_derivative_is_that_of_the_formula(program, count, backend):
     )
     forward = jax.jvp(lambda s: run(program, values, offset, s, backend), (one,), (one,))[1]
     np.testing.assert_allclose(forward, by_scale, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_still_place_reads_at_the_pixel_and_differentiates_linearly(backend):
+    values, offset = inputs()
+    row, column = np.indices(SIZE)
+    held, one = value_at(values, row, column), jnp.float32(1)
+    np.testing.assert_allclose(run(still, values, offset, one, backend), 3 * held, rtol=1e-5)
+    found = jax.grad(lambda o: jnp.sum(run(still, values, o, one, backend)))(jnp.asarray(offset))
+    x, y = np.sin(offset[..., 0]) / 2, np.sin(offset[..., 1]) / 2
+    side_x, side_y = np.where(x < 0, -1, 1), np.where(y < 0, -1, 1)
+    by_x = side_x * (value_at(values, row, column + side_x) - held)
+    by_y = side_y * (value_at(values, row + side_y, column) - held)
+    expected = 3 * np.stack([by_x, by_y], axis=-1) * np.cos(offset) / 2
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_the_value_of_a_still_place_does_not_need_its_offset():
+    values, offset = inputs()
+    with recorded_passes() as passes:
+        run(still, values, offset, jnp.float32(1), "xla")
+    (found,) = passes
+    if build.find_compiler() is None:
+        pytest.skip("needs a C++ compiler")
+    assert "sin" in str(found.traced.jaxpr)
+    assert "sin" not in "".join(emit.emit_pass(found).parts.values())
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

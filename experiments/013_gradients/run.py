@@ -93,7 +93,9 @@ def measure(frames: Path, case: str, draws: int) -> dict[str, dict[str, Any]]:
         for when, texels in (("before", "held"), ("after", "moving")):
             arguments = [frames, Path(folder) / when, *case.split(":"), draws, ROUNDS, texels]
             command = [sys.executable, "-m", WORKER, *map(str, arguments)]
-            environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+            # Kernels of their own: those with texels held are not found again as those without.
+            cache = Path(folder) / f"cache_{when}"
+            environment = os.environ | {"JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(cache)}
             started[when] = subprocess.Popen(command, cwd=HERE.parents[2], env=environment)
         if any([process.wait() for process in started.values()]):
             raise SystemExit(f"{case}: a process failed")

@@ -192,7 +192,7 @@ def _is_torn(entry: bytes) -> bool:
 
 def _compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
     """Time of last use, bytes and path of each file of compiled code."""
-    for pattern in ("*-cache", "kernels/jaxblur_*.so"):
+    for pattern in ("*-cache", "kernels/jaxblur_*.so", "kernels/jaxblur_*.json"):
         for path in folder.glob(pattern):
             try:
                 status = path.lstat()

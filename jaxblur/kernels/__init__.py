@@ -18,4 +18,4 @@ from .program import (
     mark_over as mark_over,
     sum_over as sum_over,
 )
-from .reads import nearest_place as nearest_place
+from .reads import nearest_place as nearest_place, still_place as still_place

@@ -15,6 +15,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from ..settings import Backend
 from .cpp import native_gather
+from .keys import Keyed, key_of
 from .operators import Operator
 from .sums import Plan, no_terms, on_cpu, replaced, sum_samples
 from .tracing import Grid, Place, Stages
@@ -228,12 +229,15 @@ def _of_planes(sample: Callable[..., Any], structure: Any) -> Callable[..., Any]
         prepared = jax.tree.unflatten(structure, [value for (value,) in local])
         return sample(index, place, prepared, tables)
 
-    return of_planes
+    return Keyed(of_planes, key_of(("of planes", sample, str(structure))))
 
 
 @functools.lru_cache(maxsize=512)
 def _limit_of_planes(limit: Callable[..., Any], structure: Any) -> Callable[..., Any]:
-    return lambda local: limit(jax.tree.unflatten(structure, [value for (value,) in local]))
+    def of_planes(local: Any) -> Any:
+        return limit(jax.tree.unflatten(structure, [value for (value,) in local]))
+
+    return Keyed(of_planes, key_of(("limit of planes", limit, str(structure))))
 
 
 def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[jax.Array, Any]:
@@ -252,9 +256,10 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
         *(_one_sample(stages, planes, dtype.name), 1, everywhere),
         *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
     )
-    # Scalars are as fast to compute as to read.
-    scalars = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
-    values = replaced(scalars, planes, [plane[..., None] for plane in found])
+    if len(planes) < len(values):
+        # Scalars are as fast to compute as to read.
+        values = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
+    values = replaced(values, planes, [plane[..., None] for plane in found])
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
 
 
@@ -277,7 +282,7 @@ def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Callable
         values = jax.tree.leaves(prepared)
         return [wanted.astype(dtype), *(values[k].astype(dtype) for k in planes)]
 
-    return one_sample
+    return Keyed(one_sample, key_of(("one sample", tuple(stages), planes, dtype)))
 
 
 def _gather_jvp(
@@ -351,10 +356,17 @@ def _carrying(
 def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
     """Stages that carry the derivative with respect to each active scalar along."""
     carrying = functools.partial(_carrying, stages, active)
+
+    def keyed(name: str, stage: Callable[..., Any]) -> Keyed:
+        return Keyed(stage, key_of(("carrying", name, tuple(stages), active)))
+
     whole_sample, whole_finish = stages.sample, stages.finish
     if whole_sample is None or whole_finish is None:
-        otherwise = stages.otherwise and _flat(carrying(stages.otherwise))
-        return stages._replace(prepare=_flat(carrying(stages.prepare)), otherwise=otherwise)
+        otherwise = stages.otherwise
+        if otherwise is not None:
+            otherwise = keyed("otherwise", _flat(carrying(otherwise)))
+        prepare = keyed("values", _flat(carrying(stages.prepare)))
+        return stages._replace(prepare=prepare, otherwise=otherwise)
 
     def sample(index: Any, place: Place, prepared: Any, tables: Any) -> tuple[Any, ...]:
         value, changes = prepared
@@ -376,9 +388,14 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
             results, (blocks[0], value), list(zip(blocks[1:], changes, strict=True))
         )
 
-    limit = stages.limit and functools.partial(_of_value, stages.limit)
+    limit = stages.limit
+    if limit is not None:
+        limit = keyed("limit", functools.partial(_of_value, limit))
     return stages._replace(
-        prepare=carrying(stages.prepare), sample=sample, finish=finish, limit=limit
+        prepare=keyed("prepare", carrying(stages.prepare)),
+        sample=keyed("sample", sample),
+        finish=keyed("finish", finish),
+        limit=limit,
     )
 
 

@@ -17,6 +17,10 @@ interpolation, so that motion along an axis has a derivative across it.
 The interpolation is between results, not between the texels that are read: two opposed velocities
 would cancel. It varies one axis at a time, and where a program reads at several places, one place
 at a time.
+
+The offset of a still place is that of a table which moves while the pixel stays. It is often the
+same for all samples of a surface, so that a share near the border alone would be 0 or far too
+large. Its share of the neighbor is |a|: of the two pixels at an outline exactly one counts.
 """
 
 import functools
@@ -25,11 +29,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jax.extend import core
 
 from .planes import evaluate, live
-from .reads import place_primitive, rounded
+from .reads import place_primitive, rounded, texel_of
 
 
 def results_of(
@@ -92,6 +97,7 @@ class _Place:
     def __init__(self, equation: Any, stage: "_Stage") -> None:
         self.offsets, self.wholes = equation.invars, equation.outvars
         self.blends: bool = equation.params["blends"]
+        self.still: bool = equation.params["still"]
         after = _depending(stage.equations, self.wholes)
         made = {*self.wholes, *(v for later in after for v in later.outvars)}
         self.results = [
@@ -106,6 +112,10 @@ class _Place:
     def offset(self, look: Any) -> list[jax.Array]:
         """The offset, x and y."""
         return [jnp.asarray(look(variable)) for variable in self.offsets]
+
+    def whole(self, look: Any) -> list[jax.Array]:
+        """The texel, x and y."""
+        return texel_of(*self.offset(look), blends=self.blends, still=self.still)
 
     def moved(self, stage: "_Stage", look: Any, wholes: Sequence[Any]) -> list[Any]:
         """The results that depend on the place, with another texel."""
@@ -134,9 +144,17 @@ class _Stage:
         run.defjvp(self._derivative, symbolic_zeros=True)
         return run(*inputs)
 
-    def _values(self, inputs: Sequence[Any]) -> tuple[list[jax.Array], Any]:
-        """The results, and a function from a variable to its value."""
-        look = evaluate(self.equations, dict(zip(self.inputs, inputs, strict=True)))
+    @functools.cached_property
+    def _of_values(self) -> tuple[list[Any], dict[Any, Any]]:
+        """The equations that values alone depend on, and the texels of still places."""
+        texels = {v: np.int32(0) for place in self.places if place.still for v in place.wholes}
+        blends = [v for place in self.places if place.blends for v in place.offsets]
+        return live(self.equations, [*self.results, *blends], list(texels)), texels
+
+    def _values(self, inputs: Sequence[Any], alone: bool = True) -> tuple[list[jax.Array], Any]:
+        """The results, and a function from a variable to its value: of these alone, or of all."""
+        equations, texels = self._of_values if alone else (self.equations, {})
+        look = evaluate(equations, texels | dict(zip(self.inputs, inputs, strict=True)))
         results = [jnp.asarray(look(variable)) for variable in self.results]
         blends = [
             (place, self._blend(place, look, results)) for place in self.places if place.blends
@@ -163,7 +181,7 @@ class _Stage:
             every = list(inputs)
             for k, value in zip(active, values, strict=True):
                 every[k] = value
-            results, look = self._values(every)
+            results, look = self._values(every, alone=False)
             return (results, [place.offset(look) for place in places]), list(map(look, kept))
 
         (results, _), (change, moves), values = jax.jvp(
@@ -182,7 +200,7 @@ class _Stage:
 
     def _slopes(self, place: _Place, look: Any, axis: int, results: Any) -> list[jax.Array]:
         """Derivatives by the offset along an axis, of the results that depend on the place."""
-        (along, across), whole = place.offset(look), rounded(*place.offset(look))
+        (along, across), whole = place.offset(look), place.whole(look)
         if axis == 1:
             along, across = across, along
         along, across = along - whole[axis], across - whole[1 - axis]
@@ -192,7 +210,7 @@ class _Stage:
         moved = list(whole)
         moved[axis] = whole[axis] + side
         others = place.moved(self, look, moved)
-        slope = side * jnp.where(along == 0, 1, 12 * along * along)
+        slope = side * (1 if place.still else jnp.where(along == 0, 1, 12 * along * along))
         return [
             slope.astype(other.dtype) * (other - results[k])
             for k, other in zip(place.results, others, strict=True)

@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 from jax.extend import core
 
-from .reads import place_primitive, read_table, rounded
+from .reads import place_primitive, read_table, texel_of
 
 _SAME = {"broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze"}
 """Operations that leave a scalar as it is."""
@@ -80,13 +80,22 @@ def evaluate(
     return look
 
 
-def live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
-    """The equations that the wanted variables depend on."""
-    needed = {v for v in wanted if not isinstance(v, core.Literal)}
+def live(equations: Sequence[Any], wanted: Sequence[Any], known: Sequence[Any] = ()) -> list[Any]:
+    """The equations that the wanted variables depend on.
+
+    Args:
+        equations: of a jaxpr, in order.
+        wanted: variables or literals.
+        known: variables whose values are known.
+
+    Returns:
+        Some of the equations, in order.
+    """
+    needed = {v for v in wanted if not isinstance(v, core.Literal)} - set(known)
     chosen = []
     for equation in reversed(equations):
         if needed & set(equation.outvars):
-            needed |= {v for v in equation.invars if not isinstance(v, core.Literal)}
+            needed |= {v for v in equation.invars if not isinstance(v, core.Literal)} - set(known)
             chosen.append(equation)
     return chosen[::-1]
 
@@ -94,7 +103,8 @@ def live(equations: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
 def _equation(equation: Any, inputs: list[Any], keeps_places: bool) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
     if equation.primitive is place_primitive:
-        return place_primitive.bind(*inputs, **parameters) if keeps_places else rounded(*inputs)
+        find = place_primitive.bind if keeps_places else texel_of
+        return find(*inputs, **parameters)
     if name in _INNER:
         inner, constants = opened(parameters.get("jaxpr") or parameters.get("call_jaxpr"))
         values = dict(zip(inner.constvars, constants, strict=True))

@@ -43,26 +43,27 @@ def rounded(x: ArrayLike, y: ArrayLike) -> list[Array]:
     return [jnp.floor(jnp.asarray(part) + 0.5).astype(jnp.int32) for part in (x, y)]
 
 
-def _rounded(x: ArrayLike, y: ArrayLike, *, blends: bool) -> list[Array]:
-    return rounded(x, y)
+def texel_of(x: ArrayLike, y: ArrayLike, *, blends: bool, still: bool) -> list[Array]:
+    """The value of a place: whole pixels; 0 of one that is still."""
+    return [jnp.zeros(jnp.shape(x), jnp.int32)] * 2 if still else rounded(x, y)
 
 
-place_primitive.def_impl(_rounded)
+place_primitive.def_impl(texel_of)
 place_primitive.def_abstract_eval(
-    lambda x, y, blends: [ShapedArray(part.shape, jnp.int32) for part in (x, y)]
+    lambda x, y, **_: [ShapedArray(part.shape, jnp.int32) for part in (x, y)]
 )
-mlir.register_lowering(place_primitive, mlir.lower_fun(_rounded, multiple_results=True))
+mlir.register_lowering(place_primitive, mlir.lower_fun(texel_of, multiple_results=True))
 
 
-def _rounded_jvp(primals: Any, _: Any, *, blends: bool) -> tuple[Any, Any]:
-    wholes = place_primitive.bind(*primals, blends=blends)
+def _rounded_jvp(primals: Any, _: Any, **kind: bool) -> tuple[Any, Any]:
+    wholes = place_primitive.bind(*primals, **kind)
     return wholes, [np.zeros(whole.shape, float0) for whole in wholes]
 
 
-def _rounded_batched(operands: Any, axes: Any, *, blends: bool) -> tuple[Any, list[int]]:
+def _rounded_batched(operands: Any, axes: Any, **kind: bool) -> tuple[Any, list[int]]:
     size = next(o.shape[axis] for o, axis in zip(operands, axes, strict=True) if axis is not None)
     moved = [batching.bdim_at_front(o, axis, size) for o, axis in zip(operands, axes, strict=True)]
-    return place_primitive.bind(*moved, blends=blends), [0, 0]
+    return place_primitive.bind(*moved, **kind), [0, 0]
 
 
 # Where a filter's functions run outside a program, on arrays, the texel is held.
@@ -85,5 +86,24 @@ def nearest_place(x: Array, y: Array, blends: bool = False) -> tuple[Array, Arra
     Returns:
         Whole pixels to the right and downward, ``floor(x + 1/2)`` and ``floor(y + 1/2)``.
     """
-    across, down = place_primitive.bind(jnp.asarray(x), jnp.asarray(y), blends=blends)
+    operands = jnp.asarray(x), jnp.asarray(y)
+    across, down = place_primitive.bind(*operands, blends=blends, still=False)
+    return across, down
+
+
+def still_place(x: Array, y: Array) -> tuple[Array, Array]:
+    """No offset at all, with the derivative of `nearest_place`.
+
+    For images that move while a program reads them at one place. The value needs neither x nor y,
+    so that it costs nothing to find them.
+
+    Args:
+        x: offset in pixels to the right, at most 1/2 either way.
+        y: offset in pixels downward, likewise.
+
+    Returns:
+        0 and 0. The derivative of what a program computes from them is that of an interpolation
+        between the results for 0 and for the texels beside it, as the offset changes.
+    """
+    across, down = place_primitive.bind(jnp.asarray(x), jnp.asarray(y), blends=False, still=True)
     return across, down

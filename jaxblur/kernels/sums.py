@@ -24,8 +24,9 @@ from jax.interpreters import ad, batching, mlir
 
 from ..settings import Backend
 from .cpp import native_gather, native_pull
+from .keys import Keyed, key_of
 from .operators import Operator
-from .tracing import Grid, Place, Stages
+from .tracing import Grid, Kind, Place, Stages, table_shape
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
@@ -133,10 +134,10 @@ def _sums(plan: Plan, operands: Sequence[jax.Array]) -> Terms:
 def _only(sample: Sample, limit: Callable[..., Any] | None, samples: int) -> Stages:
     """Stages that sum a sample where a plane, the first of the local values, is not 0."""
     return Stages(
-        where=lambda place, local, tables: (local[0][0], ()),
-        prepare=lambda place, local, tables, found: local[1:],
+        where=Keyed(lambda place, local, tables: (local[0][0], ()), "where the first"),
+        prepare=Keyed(lambda place, local, tables, found: local[1:], "the others"),
         sample=sample,
-        finish=lambda place, sums, prepared, local: sums,
+        finish=Keyed(lambda place, sums, prepared, local: sums, "sums"),
         limit=limit,
         samples=samples,
     )
@@ -171,9 +172,26 @@ def _add(totals: Terms, more: Terms) -> Terms:
 
 def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
-    leaves = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-    terms = jax.eval_shape(plan.terms, jax.ShapeDtypeStruct((1,), jnp.int32), leaves)
-    return [jax.ShapeDtypeStruct(term.shape[:2], term.dtype) for term in terms]
+    kinds = tuple(Kind(leaf.dtype.name, leaf.shape[-1] if leaf.ndim else 0) for leaf in leaves)
+    x64 = jnp.result_type(float) == jnp.float64
+    types = _types(plan.sample, kinds, plan.locals, len(plan.grid.sizes), x64)
+    return [jax.ShapeDtypeStruct((plan.grid.height, plan.grid.width), of) for of in types]
+
+
+@functools.lru_cache(maxsize=512)
+def _types(
+    sample: Sample, kinds: tuple[Kind, ...], locals_: int, sizes: int, _x64: bool
+) -> tuple[Any, ...]:
+    """Types of the terms, from one evaluation on scalars: that on planes takes several times as
+    long to trace, and a derivative asks for them often."""
+    index = jax.ShapeDtypeStruct((), jnp.int32)
+    local = [
+        tuple(jax.ShapeDtypeStruct((), kind.dtype) for _ in range(max(kind.channels, 1)))
+        for kind in kinds[:locals_]
+    ]
+    tables = [table_shape(kind) for kind in kinds[locals_:]]
+    terms = jax.eval_shape(sample, index, Place(index, index, (index,) * sizes), local, tables)
+    return tuple(term.dtype for term in terms)
 
 
 def _zero_sums(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
@@ -218,7 +236,8 @@ _sum_operator = Operator(
 @functools.lru_cache(maxsize=512)
 def _augmented(sample: Sample, active: tuple[int, ...]) -> Sample:
     """`_with_derivatives` of a sample."""
-    return functools.partial(_with_derivatives, sample, active)
+    augmented = functools.partial(_with_derivatives, sample, active)
+    return Keyed(augmented, key_of(("augmented", sample, active)))
 
 
 def _with_derivatives(

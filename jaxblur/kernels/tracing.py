@@ -16,6 +16,7 @@ from jax import lax
 from jax.extend import core
 from jaxtyping import Array
 
+from .keys import Keyed, key_of, key_of_jaxpr
 from .places import results_of
 from .planes import evaluate, inlined
 from .program import At, Image, Outcome, marks_primitive, sum_primitive
@@ -224,6 +225,9 @@ class _Cut:
 
     def __init__(self, closed: Any, kinds: Sequence[Kind], results: int, otherwise: bool) -> None:
         self.jaxpr = closed.jaxpr
+        self.key = key_of_jaxpr(closed.jaxpr, closed.consts)
+        if self.key is not None:
+            self.key = key_of((self.key, *map(repr, kinds), results, otherwise))
         self.constants = dict(zip(self.jaxpr.constvars, closed.consts, strict=True))
         self.where, *rest = self.jaxpr.outvars
         self.values, self.otherwise = rest[:results], rest[results:] if otherwise else None
@@ -355,23 +359,29 @@ class _Cut:
         if self.loop is None:
             otherwise = None
             if self.otherwise is not None:
-                otherwise = functools.partial(self._results, self.rest, self.otherwise)
+                rest = functools.partial(self._results, self.rest, self.otherwise)
+                otherwise = self._keyed("otherwise", rest)
+            values = functools.partial(self._results, self.before, self.values)
             return Stages(
-                where=self._where,
-                prepare=functools.partial(self._results, self.before, self.values),
+                where=self._keyed("where", self._where),
+                prepare=self._keyed("values", values),
                 otherwise=otherwise,
             )
         if self.otherwise is not None:
             raise UnsupportedProgram("`Outcome.otherwise` is for programs without a sum.")
         loop = self.jaxpr.eqns[self.loop]
         return Stages(
-            where=self._where,
-            prepare=self._prepare,
-            sample=self._sample,
-            finish=self._finish,
-            limit=self._limit if loop.params["limited"] else None,
+            where=self._keyed("where", self._where),
+            prepare=self._keyed("prepare", self._prepare),
+            sample=self._keyed("sample", self._sample),
+            finish=self._keyed("finish", self._finish),
+            limit=self._keyed("limit", self._limit) if loop.params["limited"] else None,
             samples=loop.params["count"],
         )
+
+    def _keyed(self, stage: str, function: Callable[..., Any]) -> Keyed:
+        """A stage, with the key of the program and its own name."""
+        return Keyed(function, None if self.key is None else key_of((self.key, stage)))
 
     def _inputs(self, place: Place, local: Any, tables: Any) -> dict[Any, Any]:
         """Values of the inputs."""

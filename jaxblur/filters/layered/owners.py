@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ...kernels import At, Image, Outcome, each_pixel, largest_marks, mark_over
+from ...kernels import At, Image, Outcome, each_pixel, largest_marks, mark_over, still_place
 from ...settings import Settings
 from .._weights import SPEED_FLOOR
 from .clock import Clock, Span, Times, time_when_drawn
@@ -235,10 +235,12 @@ class Owner(NamedTuple):
     Attributes:
         exists: whether there is one.
         texel: its row-major number; that of the pixel itself where there is none.
+        level: of its depth, see `Coding.level`; 0 where there is none.
     """
 
     exists: Array
     texel: Array
+    level: Array
 
 
 def read_owner(
@@ -259,8 +261,55 @@ def read_owner(
     """
     height, width = size
     (mark,) = owners.read(time * height + at.row, at.column)
-    rests = ~moves(own) & (coding.level_of(mark, own.x) <= coding.level(own.log_depth))
+    level, own_level = coding.level_of(mark, own.x), coding.level(own.log_depth)
+    rests = ~moves(own) & (level <= own_level)
     right, down = coding.offset_of(mark)
     drawn = (mark != 0) & ~rests
     right, down = (jnp.where(drawn, offset, 0) for offset in (right, down))
-    return Owner(drawn | rests, (at.row - down) * width + at.column - right)
+    texel = (at.row - down) * width + at.column - right
+    return Owner(drawn | rests, texel, jnp.where(rests, own_level, level))
+
+
+def moving_owner(
+    at: At, owners: Image, paths: Image, index: Array, time: Array, coding: Coding
+) -> Owner:
+    """`read_owner`, with the derivative that the motion of the owners gives.
+
+    When a surface moves, its outline moves in the map of owners, and other pixels get another
+    owner. Of two surfaces the one in front carries the outline between them. So along each axis
+    the map is taken to move as the nearest of the surfaces at the pixel and at the two beside it:
+    the derivative is that of a read at the offset ``-(x - floor(x + 1/2))``, x being the
+    displacement of that surface. The value is that of `read_owner` to the bit.
+
+    Args:
+        at: the pixel.
+        owners: what `owners_of` gives.
+        paths: (H, W, 5), see `.paths.Path`.
+        index: number of the time.
+        time: at the pixel's row.
+        coding: of the marks.
+
+    Returns:
+        The owner.
+    """
+    size = jnp.asarray(paths.height), jnp.asarray(paths.width)
+
+    def owner_beside(right: Array | int, down: Array | int) -> Owner:
+        row = jnp.clip(at.row + down, 0, size[0] - 1)
+        column = jnp.clip(at.column + right, 0, size[1] - 1)
+        own = Path(*paths.read(row, column))
+        return read_owner(At(row, column), owners, index, own, coding, size)
+
+    own = owner_beside(0, 0)
+
+    def moved(axis: int) -> Array:
+        front = own
+        for side in (1, -1):
+            other = owner_beside(*((side, 0) if axis == 0 else (0, side)))
+            nearer = other.level > front.level
+            front = Owner(*(jnp.where(nearer, *pair) for pair in zip(other, front, strict=True)))
+        path = Path(*paths.read_texel(front.texel))
+        part = path.at(time)[axis]
+        return jnp.where(front.exists & moves(path), jnp.floor(part + 0.5) - part, 0)
+
+    return owner_beside(*still_place(moved(0), moved(1)))

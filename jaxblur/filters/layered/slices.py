@@ -33,7 +33,7 @@ from ..parameters import LayeredParameters
 from . import background
 from .clock import Clock, Span, Times, clock_of, scaled, time_of_light, time_of_owners
 from .neighbors import Neighbor, neighbor_of
-from .owners import RESTS, Coding, intervals_of, owners_of, read_owner, states_of
+from .owners import RESTS, Coding, intervals_of, moving_owner, owners_of, read_owner, states_of
 from .paths import Path, paths_of
 
 register_record(LayeredParameters)
@@ -202,11 +202,11 @@ def slices_at(
 
     def make_guess(light: Array, index: Array) -> Guess:
         time, weight = time_of_light(light, at.row, images.clock, inputs.span)
-        owner = read_owner(at, images.owners, index, own, plan.coding, (height, width))
+        own_time = time_of_owners(index, intervals, own.x, at.row, images.clock, inputs.span)
+        owner = moving_owner(at, images.owners, images.paths, index, own_time, plan.coding)
         way = Path(*images.paths.read_texel(owner.texel))
         # The owner is at the pixel at its own time. From there the point that is at the pixel at
         # another time is found along its velocity, which is exact where the surface turns or moves.
-        own_time = time_of_owners(index, intervals, own.x, at.row, images.clock, inputs.span)
         squared = own_time * own_time
         offset_x = -time * way.x - squared * way.bend_x
         offset_y = -time * way.y - squared * way.bend_y
@@ -461,8 +461,9 @@ def layered(
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
-        are returned bit for bit. Differentiable in every input, but for the number of slices, for
-        what is in front, and for which surface a hidden color is taken from.
+        are returned bit for bit. Differentiable in every input, with outlines that move, but for
+        the number of slices, for which of two depths is in front, and for which surface a hidden
+        color is taken from.
 
     Raises:
         ValueError: shapes disagree, there are fewer than three samples, a parameter is not a

@@ -8,8 +8,17 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..keys import key_of
 from ..tracing import Grid, Stages
-from .build import BuildFailed, find_compiler, keep_kernels, register
+from .build import (
+    BuildFailed,
+    Known,
+    find_compiler,
+    find_known,
+    keep_kernels,
+    keep_known,
+    register,
+)
 from .emit import Kernel, Operands, emit_gather, emit_marks, emit_pull
 from .values import Unsupported
 
@@ -51,7 +60,8 @@ def native_gather(
     def emit() -> Kernel:
         return emit_gather(stages, operands, kept or 0, kept is not None)
 
-    return _build(emit, grid, (), backend)
+    key = key_of(("gather", tuple(stages), repr(operands), kept))
+    return _build(emit, key, grid, (), backend)
 
 
 def native_pull(
@@ -93,7 +103,8 @@ def native_pull(
     def emit() -> Kernel:
         return emit_pull(sample, limit, count, operands, tuple(active), names)
 
-    return _build(emit, grid, lengths, backend)
+    key = key_of(("pull", sample, limit, count, repr(operands), tuple(active), names))
+    return _build(emit, key, grid, lengths, backend)
 
 
 def native_marks(
@@ -123,30 +134,40 @@ def native_marks(
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
     operands = Operands.of(leaves, locals_, len(grid.sizes))
-    return _build(lambda: emit_marks(stages, operands, apart), grid, [length], backend, np.int32)
+    key = key_of(("marks", tuple(stages), repr(operands), apart))
+
+    def emit() -> Kernel:
+        return emit_marks(stages, operands, apart)
+
+    return _build(emit, key, grid, [length], backend, np.int32)
 
 
 def _build(
     emit: Callable[[], Kernel],
+    key: str | None,
     grid: Grid,
     lengths: Sequence[int],
     backend: str,
     element: Any = np.float32,
 ) -> Call | None:
-    """Compile the kernel that `emit` prints, whose tables have these lengths."""
+    """Compile the kernel that `emit` prints, whose tables have these lengths; not printed where a
+    former run has done so under the same key."""
     if backend == "xla":
         return None
     if find_compiler() is None:
         return _refuse(backend, "there is no C++ compiler")
     try:
-        kernel = emit()
-        target = register(kernel.source)
+        known = find_known(key)
+        if known is None:
+            kernel = emit()
+            known = Known(register(kernel.source), kernel.planes, kernel.is_image)
+            keep_known(key, known)
     except Unsupported as error:
         return _refuse(backend, f"the program uses {error}")
     except BuildFailed as error:
         _warn_once(f"{error}; XLA does its work, several times as slow")
         return _refuse(backend, str(error))
-    return _caller(target, kernel, grid, lengths, element)
+    return _caller(known, grid, lengths, element)
 
 
 def _refuse(backend: str, reason: str) -> None:
@@ -162,13 +183,13 @@ def _warn_once(message: str) -> None:
     LOG.warning("%s", message)
 
 
-def _caller(target: str, kernel: Kernel, grid: Grid, lengths: Sequence[int], element: Any) -> Call:
+def _caller(kernel: Known, grid: Grid, lengths: Sequence[int], element: Any) -> Call:
     """The call into the kernel, one after the other under vmap."""
     plane = grid.height, grid.width
     shapes = [(*plane, kernel.planes)] if kernel.is_image else [plane] * kernel.planes
     results = [jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes]
     results += [jax.ShapeDtypeStruct((length,), element) for length in lengths]
-    call = jax.ffi.ffi_call(target, results, vmap_method="sequential")
+    call = jax.ffi.ffi_call(kernel.target, results, vmap_method="sequential")
     sizes = np.asarray([*plane, *grid.sizes], np.int32)
 
     def run(*leaves: jax.Array) -> tuple[jax.Array, ...]:

@@ -5,6 +5,7 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import json
 import logging
 import os
 import pathlib
@@ -16,6 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jaxlib.version
@@ -302,8 +304,103 @@ def _register(source: str) -> str:
             _say_once()
             LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
-        function = getattr(ctypes.CDLL(os.fspath(library)), name)
+        _load(name, library)
     except (OSError, AttributeError) as error:
         raise BuildFailed(f"{library}: {error}") from error
-    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
     return name
+
+
+_loaded: set[str] = set()
+"""Names that XLA knows; it accepts a name once in a process."""
+
+
+def _load(name: str, library: pathlib.Path) -> None:
+    """Make a kernel known to XLA.
+
+    Raises:
+        OSError: the library cannot be loaded.
+        AttributeError: it holds another function.
+    """
+    if name not in _loaded:
+        function = getattr(ctypes.CDLL(os.fspath(library)), name)
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(function), platform="cpu")
+        _loaded.add(name)
+
+
+class Known(NamedTuple):
+    """A kernel that is registered.
+
+    Attributes:
+        target: its name for `jax.ffi.ffi_call`.
+        planes: number of results of a pixel.
+        is_image: whether they are the channels of one image, or a plane each.
+    """
+
+    target: str
+    planes: int
+    is_image: bool
+
+
+@functools.cache
+def _engine() -> str | None:
+    """A checksum of the code that prints kernels; None where it is not in files."""
+    digest = hashlib.sha256()
+    try:
+        for path in sorted(pathlib.Path(__file__).parents[1].rglob("*")):
+            if path.suffix in (".py", ".cc", ".h"):
+                digest.update(path.read_bytes())
+    except OSError:
+        return None
+    return digest.hexdigest()
+
+
+def _record_of(key: str) -> pathlib.Path | None:
+    """The file that says which library holds the kernel of a key."""
+    engine = _engine()
+    if engine is None:
+        return None
+    words = "\n".join([_machine(), *_flags(), engine, key])
+    return _folder() / f"jaxblur_{hashlib.sha256(words.encode()).hexdigest()[:24]}.json"
+
+
+def find_known(key: str | None) -> Known | None:
+    """A kernel that this run or a former one has printed and compiled, registered.
+
+    Args:
+        key: see `jaxblur.kernels.keys`.
+
+    Returns:
+        The kernel; None where there is none, or its library is not as it was compiled.
+    """
+    record = None if key is None else _record_of(key)
+    if record is None:
+        return None
+    with _ONE_AT_A_TIME:
+        try:
+            known = Known(*json.loads(_own_bytes(record)))
+            library = record.with_name(f"{known.target}.so")
+            if known.target not in _loaded:
+                if not _is_intact(library):
+                    return None
+                _load(known.target, library)
+        except (OSError, ValueError, TypeError, AttributeError):
+            return None
+    return known
+
+
+def keep_known(key: str | None, known: Known) -> None:
+    """Keep under a key which library holds a kernel.
+
+    Args:
+        key: see `jaxblur.kernels.keys`.
+        known: the kernel.
+    """
+    record = None if key is None else _record_of(key)
+    if record is None:
+        return
+    # What cannot be written is printed again in the next run. A file in place is whole.
+    with contextlib.suppress(OSError), tempfile.TemporaryDirectory(dir=record.parent) as folder:
+        part = pathlib.Path(folder, record.name)
+        part.write_text(json.dumps(known))
+        part.chmod(0o600)
+        os.replace(part, record)
