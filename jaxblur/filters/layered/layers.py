@@ -88,8 +88,8 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
 
         C = sum_k C_k T_k,   T_1 = 1,   T_(k+1) = T_k (1 - a_k)
 
-    in each slice, with the layers from the front to the back. What is not known of a layer is left out of the
-    mean, together with what would be seen through it.
+    in each slice, with the layers from the front to the back. What is not known of a layer is left
+    out of the mean, together with what would be seen through it.
     """
     plan, limit = stack.plan, None
     if plan.settings.spacing:

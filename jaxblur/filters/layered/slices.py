@@ -193,7 +193,6 @@ def slices_at(
     """
     settings, intervals, parameters = plan.settings, plan.intervals, inputs.parameters
     own = Path(*images.paths.here())
-    height, width = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
     count = plan.slices if limit is None else limit
     (noise,) = images.noise.here()
     jitter = noise * parameters.jitter / 2
