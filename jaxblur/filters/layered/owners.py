@@ -27,6 +27,9 @@ MOST_INTERVALS = 15
 _NEAREST, _OCTAVES = -10, 32
 """Depths are ordered from 2^-10 scene units on, over so many doublings."""
 
+_MOST_LEVELS = 1 << 23
+"""Largest number of levels of depth: float32 holds each of them."""
+
 
 class Drawn(NamedTuple):
     """What is drawn, planes (H, W); each pixel is read for each of the times.
@@ -51,7 +54,8 @@ class Coding(NamedTuple):
 
     Attributes:
         bits: of an offset along one axis, from its owner to a pixel.
-        levels: of depth. At a radius of 160 a level is 0.3 percent of the depth, at 1000 five.
+        levels: of depth. At a radius of 160 a level is 0.3 percent of the depth, at 1000 five, and
+            at the largest radius (`..builtin.LAYERED_RADIUS`) it is a doubling.
     """
 
     bits: int
@@ -61,7 +65,7 @@ class Coding(NamedTuple):
     def of(cls, radius: int) -> "Coding":
         """The coding for offsets up to the radius."""
         bits = (2 * radius).bit_length()
-        return cls(bits, 1 << (31 - 2 * bits))
+        return cls(bits, min(1 << (31 - 2 * bits), _MOST_LEVELS))
 
     def level(self, log_depth: Array) -> Array:
         """From 1 for the farthest to ``levels - 1`` for the nearest; a whole number."""

@@ -11,10 +11,12 @@ an object covers a pixel for as long as it is there.
 
 import dataclasses
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import core
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
@@ -26,7 +28,7 @@ from .._arguments import takes
 from .._masking import append_mask, divide_by_mask
 from .._sampling import find_texel, path_samples, read_color, read_color_along
 from .._weights import SPEED_FLOOR, anything_moves
-from ..builtin import LAYERED_SLICE, needs_a_slice
+from ..builtin import LAYERED_SLICE, check_layered
 from ..parameters import LayeredParameters
 from . import background
 from .neighbors import Neighbor, neighbor_of
@@ -335,10 +337,11 @@ def layered(
         what is in front, and for which surface a hidden color is taken from.
 
     Raises:
-        ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
-            scalar, or the settings are those of another filter.
+        ValueError: shapes or dtypes disagree, there are fewer than three samples, the radius is
+            above 4095, a parameter is not a scalar, the shutter is not above 0, or the settings are
+            those of another filter.
     """
-    others = Others(before, after, jnp.asarray(shutter), None)
+    others = Others(before, after, _exposure(shutter), None)
     return _checked(frame, parameters, noise, others, settings)
 
 
@@ -379,6 +382,48 @@ def layered_with_hidden(
     return _checked(frame, parameters, noise, others, settings)
 
 
+def _checked_neighbor(neighbor: object, name: str, frame: Frame) -> Frame:
+    """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame."""
+    if not isinstance(neighbor, Frame):
+        kind = type(neighbor).__name__
+        raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
+    if jnp.shape(neighbor.color) != frame.color.shape:
+        raise ValueError(
+            f"`{name}` must have the shape of `frame`, {frame.color.shape}, got "
+            f"{jnp.shape(neighbor.color)}."
+        )
+    try:
+        checked = check_frame(neighbor)
+    except ValueError as error:
+        raise ValueError(str(error).replace("`frame.", f"`{name}.")) from error
+    if checked.color.dtype != frame.color.dtype:
+        raise ValueError(
+            f"`{name}` must have the dtype of `frame`, {frame.color.dtype}, got "
+            f"{checked.color.dtype}; convert all buffers to one."
+        )
+    return checked
+
+
+def _exposure(shutter: ArrayLike) -> jax.Array:
+    """The shutter as an array."""
+    try:
+        exposure = jnp.asarray(shutter)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`shutter` must be a number of frames, got {shutter!r}.") from error
+    if exposure.shape or jnp.iscomplexobj(exposure):
+        kind = f"{exposure.dtype} of shape {exposure.shape}"
+        raise ValueError(f"`shutter` must be a number of frames, got {kind}.")
+    return exposure
+
+
+def _check_shutter(shutter: jax.Array) -> None:
+    """Reject an exposure that relates no frame to the next; a traced one is not looked at."""
+    if not isinstance(shutter, core.Tracer) and not 0 < float(shutter) < math.inf:
+        raise ValueError(
+            f"`shutter` must be a number of frames above 0 where neighbors are given, got {shutter}."
+        )
+
+
 def _checked(
     frame: Frame,
     parameters: LayeredParameters,
@@ -388,29 +433,19 @@ def _checked(
 ) -> jax.Array:
     """Check what jit does not see, and give all frames a mask if one has one."""
     settings = checked_settings(settings, Settings, "layered")
-    needs_a_slice(settings)
+    check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
-    for name, neighbor in given.items():
-        if neighbor is None:
-            continue
-        if not isinstance(neighbor, Frame):
-            kind = type(neighbor).__name__
-            raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
-        if jnp.shape(neighbor.color) != jnp.shape(frame.color):
-            raise ValueError(
-                f"`{name}` must have the shape of `frame`, {jnp.shape(frame.color)}, got "
-                f"{jnp.shape(neighbor.color)}."
-            )
-    if any(f is not None and f.valid is not None for f in (frame, *given.values())):
-        everything = jnp.ones(jnp.shape(frame.depth), bool)
+    given = {name: neighbor for name, neighbor in given.items() if neighbor is not None}
+    if given:
+        frame = check_frame(frame)
+        _check_shutter(others.shutter)
+        given = {name: _checked_neighbor(given[name], name, frame) for name in given}
+    if any(f.valid is not None for f in given.values()) or (given and frame.valid is not None):
+        everything = jnp.ones(frame.depth.shape, bool)
 
         def masked(frame: Frame) -> Frame:
             return frame if frame.valid is not None else frame.replace(valid=everything)
 
-        frame = masked(frame)
-        given = {k: None if f is None else append_mask(masked(f)) for k, f in given.items()}
-        others = others._replace(**given)
-    else:
-        given = {k: None if f is None else check_frame(f) for k, f in given.items()}
-        others = others._replace(**given)
+        frame, given = masked(frame), {k: append_mask(masked(f)) for k, f in given.items()}
+    others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)
