@@ -474,12 +474,10 @@ def _checked_image(path: PathLike, image: Any, like: PathLike | None) -> np.ndar
     bad = ~np.isfinite(pixels)
     if bad.any():
         # What is read is finite, but sums of values near the end of single precision are not.
-        source = (
-            "" if like is None else f" If it was made from {like}, is the color there near 3e38?"
-        )
+        hint = "" if like is None else f" If it was made from {like}, is the color there near 3e38?"
+        count = int(bad.sum())
         raise JaxblurIOError(
-            path,
-            f"{int(bad.sum())} values of the image are NaN or infinite; nothing was written.{source}",
+            path, f"{count} values of the image are NaN or infinite; nothing was written.{hint}"
         )
     return pixels
 

@@ -25,7 +25,13 @@ MOST_INTERVALS = 15
 `intervals_of`."""
 
 _NEAREST, _OCTAVES = -10, 32
-"""Depths are ordered from 2^-10 scene units on, over so many doublings."""
+"""Most levels are those of depths from 2^-10 scene units on, over so many doublings."""
+
+_BEFORE, _BEYOND = 20, 38
+"""Doublings of depth before and beyond those, as far as `.._weights.finite_depth` leaves depths."""
+
+_TAIL = 0.05
+"""Share of the levels that each of these two has, so that no unit of depth loses their order."""
 
 _MOST_LEVELS = 1 << 23
 """Largest number of levels of depth: float32 holds each of them."""
@@ -69,8 +75,11 @@ class Coding(NamedTuple):
 
     def level(self, log_depth: Array) -> Array:
         """From 1 for the farthest to ``levels - 1`` for the nearest; a whole number."""
-        nearest, range_ = _NEAREST * math.log(2), _OCTAVES * math.log(2)
-        share = 1 - (log_depth - nearest) / range_
+        doublings = log_depth * (1 / math.log(2)) - _NEAREST
+        before = jnp.clip(doublings * (1 / _BEFORE), -1, 0)
+        within = jnp.clip(doublings * (1 / _OCTAVES), 0, 1)
+        beyond = jnp.clip((doublings - _OCTAVES) * (1 / _BEYOND), 0, 1)
+        share = (1 - _TAIL) - _TAIL * (before + beyond) - (1 - 2 * _TAIL) * within
         level = jnp.floor(share * self.levels)
         return jnp.clip(level, 1, self.levels - 1)
 

@@ -20,7 +20,7 @@ from jax import core
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
-from ...frame import Frame, check_frame, check_parameters, register_record
+from ...frame import Frame, check_frame, check_frame_type, check_parameters, register_record
 from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ...noise import Noise, resolve_noise
 from ...settings import Settings, checked_settings
@@ -382,11 +382,9 @@ def layered_with_hidden(
     return _checked(frame, parameters, noise, others, settings)
 
 
-def _checked_neighbor(neighbor: object, name: str, frame: Frame) -> Frame:
+def _checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
     """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame."""
-    if not isinstance(neighbor, Frame):
-        kind = type(neighbor).__name__
-        raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
+    check_frame_type(neighbor, name)
     if jnp.shape(neighbor.color) != frame.color.shape:
         raise ValueError(
             f"`{name}` must have the shape of `frame`, {frame.color.shape}, got "
@@ -420,7 +418,7 @@ def _check_shutter(shutter: jax.Array) -> None:
     """Reject an exposure that relates no frame to the next; a traced one is not looked at."""
     if not isinstance(shutter, core.Tracer) and not 0 < float(shutter) < math.inf:
         raise ValueError(
-            f"`shutter` must be a number of frames above 0 where neighbors are given, got {shutter}."
+            f"`shutter` must be above 0 frames where neighbors are given, got {shutter}."
         )
 
 
