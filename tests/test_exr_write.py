@@ -436,3 +436,25 @@ def test_a_deep_part_beside_the_picture_is_dropped_or_refused(tmp_path, monkeypa
         exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
     exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source, extra="drop")
     assert exr.inspect(tmp_path / "out.exr").channel_names == ("R", "G", "B")
+
+
+def test_parts_of_one_name_are_refused_by_that_name(tmp_path):
+    frame = plain_frame()
+    data = {"other.A": frame["R"]}
+    parts = [(make_spec(frame, name="one"), frame), (make_spec(data, name="two"), data)]
+    source = write_parts(tmp_path / "in.exr", parts)
+    source.write_bytes(source.read_bytes().replace(b"\3\0\0\0two", b"\3\0\0\0one"))
+    assert [part.name for part in exr.inspect(source).parts] == ["one", "one"]
+    words = r"2 parts of .*in.exr are named 'one'.*extra='drop'"
+    with pytest.raises(exr.JaxblurIOError, match=words):
+        exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
+    assert not (tmp_path / "out.exr").exists()
+    exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source, extra="drop")
+    assert len(exr.inspect(tmp_path / "out.exr").parts) == 1
+
+
+def test_an_image_that_overflowed_names_the_file_that_it_was_made_from(tmp_path):
+    source = write_single(tmp_path / "in.exr", plain_frame())
+    image = np.full((4, 6, 3), np.inf)
+    with pytest.raises(exr.JaxblurIOError, match=r"72 values of the image.*in.exr, is the color"):
+        exr.write_image(tmp_path / "out.exr", image, like=source)

@@ -11,6 +11,8 @@ import jaxblur
 from jaxblur import exr, metrics, scenes
 from jaxblur.filters import filter_info
 from jaxblur.filters._masking import append_mask
+from jaxblur.filters._weights import finite_depth
+from jaxblur.filters.layered.owners import Coding
 from jaxblur.filters.layered.silhouettes import motion_of
 from tests.exr_files import CAR
 from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
@@ -247,8 +249,52 @@ def test_vectors_that_are_nan_do_not_leave_the_frame_sharp(unknown):
     assert np.abs(blurred - color)[:10].mean() > 0.05
 
 
+@pytest.mark.parametrize("radius", [1, 2, 3, 40, 4095])
+def test_marks_hold_depths_in_their_order_and_places(radius):
+    coding = Coding.of(radius)
+    depth = jnp.asarray([jnp.inf, 1e17, 1e9, 5e6, 1e4, 2.0, 1e-2, 1e-4, 1e-7], jnp.float32)
+    levels = coding.level(jnp.log(finite_depth(depth)))
+    assert levels[0] >= 1 and np.all(np.diff(levels) >= (radius < 4000))
+    for right, down in ((radius, -radius), (-radius, radius), (0, 0)):
+        marks = coding.mark(levels, jnp.int32(right), jnp.int32(down))
+        assert marks.dtype == jnp.int32 and np.all(np.asarray(marks) > 0)
+        np.testing.assert_array_equal(coding.level_of(marks, depth), levels)
+        for offset, given in zip(coding.offset_of(marks), (right, down), strict=True):
+            np.testing.assert_array_equal(offset, given)
+
+
+def test_depths_near_one_another_are_told_apart_in_any_unit():
+    log_depth = jnp.log(jnp.asarray([7e8, 5e8, 1.01, 1.0, 5e-7, 4e-7], jnp.float32))
+    assert np.all(np.diff(Coding.of(160).level(log_depth)) > 0)
+
+
+def test_a_radius_that_leaves_no_room_for_depth_is_refused():
+    with pytest.raises(ValueError, match=r"`settings.radius` must be at most 4095 for layered"):
+        jaxblur.layered(random_frame((4, 4)), PARAMETERS, settings=jaxblur.Settings(radius=4096))
+
+
 def test_fewer_samples_than_guesses_are_refused():
     with pytest.raises(
         ValueError, match=r"`settings.samples` must be at least 3 for layered, got 2"
     ):
         jaxblur.layered(random_frame((4, 4)), PARAMETERS, settings=jaxblur.Settings(samples=2))
+
+
+def wrong_neighbors():
+    frame = random_frame((4, 5))
+    wide = frame.replace(depth=np.ones((4, 5)))
+    return {
+        "`after` must have the shape of `frame`": dict(after=random_frame((5, 5))),
+        "`before` must have the shape": dict(before=random_frame((4, 5), channels=4)),
+        "`before.depth` must have shape": dict(before=frame.replace(depth=frame.depth[:3])),
+        "`after` must have the dtype of `frame`, float32, got float64": dict(after=wide),
+        "`shutter` must be above 0 frames": dict(after=frame, shutter=0),
+        "above 0 frames.* got nan": dict(after=frame, shutter=np.nan),
+        "`shutter` must be a number of frames, got .* shape": dict(shutter=np.ones(2)),
+    }
+
+
+@pytest.mark.parametrize("words", wrong_neighbors())
+def test_wrong_neighbors_are_refused_by_name(words):
+    with jax.enable_x64(True), pytest.raises(ValueError, match=words):
+        jaxblur.layered(random_frame((4, 5)), PARAMETERS, **wrong_neighbors()[words])

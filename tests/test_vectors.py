@@ -407,6 +407,8 @@ def test_speed_statistics_of_a_known_field():
     assert figures.suggested_radius == 5, "not beyond the image"
     still = vectors.speed_statistics(np.zeros((4, 5, 2)))
     assert still.suggested_radius == 5 and still.zero_share == 1
+    wide = np.full((1, 20_000, 2), 1e30, np.float32)
+    assert vectors.speed_statistics(wide).suggested_radius == 4000
 
 
 def test_beyond_radius_counts_finite_vectors_only():

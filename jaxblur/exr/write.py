@@ -103,7 +103,7 @@ def write_image(
         raise ValueError(f"`nonfinite` must be keep or zero; got {nonfinite!r}.")
     if not overwrite and os.path.exists(path):
         raise JaxblurIOError(path, "exists; pass overwrite=True to replace it.")
-    pixels = _checked_image(path, image)
+    pixels = _checked_image(path, image, like)
     last_check = unchanged.check if unchanged is not None else None
     kind = pathlib.Path(path).suffix.lower()
     if kind == ".png":
@@ -124,6 +124,7 @@ def write_image(
             names = choose_color(info, layer, color_channels).channels
             _check_model(path, pixels, info, names)
             _refuse_deep(path, info, extra)
+            _refuse_equal_names(path, info, extra)
             plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
             with replacing(path, last_check) as temporary:
                 _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
@@ -438,6 +439,18 @@ def _refuse_deep(path: PathLike, info: FileInfo, extra: str) -> None:
         )
 
 
+def _refuse_equal_names(path: PathLike, info: FileInfo, extra: str) -> None:
+    """Refuse what OpenEXR reads but does not write: parts of one name."""
+    names = [part.name for part in info.parts]
+    if extra == "keep" and len(set(names)) < len(names):
+        name = next(name for name in names if names.count(name) > 1)
+        raise JaxblurIOError(
+            path,
+            f"{names.count(name)} parts of {info.path} are named {name!r}, and OpenEXR writes no "
+            "such file; name them apart, or pass extra='drop'.",
+        )
+
+
 def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
     """Check the image against the model's size and number of color channels."""
     if not info.path.lower().endswith(".exr"):
@@ -452,7 +465,7 @@ def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Seque
         )
 
 
-def _checked_image(path: PathLike, image: Any) -> np.ndarray:
+def _checked_image(path: PathLike, image: Any, like: PathLike | None) -> np.ndarray:
     pixels = np.asarray(image, np.float32)
     if pixels.ndim != 3 or 0 in pixels.shape:
         raise ValueError(
@@ -460,8 +473,11 @@ def _checked_image(path: PathLike, image: Any) -> np.ndarray:
         )
     bad = ~np.isfinite(pixels)
     if bad.any():
+        # What is read is finite, but sums of values near the end of single precision are not.
+        hint = "" if like is None else f" If it was made from {like}, is the color there near 3e38?"
+        count = int(bad.sum())
         raise JaxblurIOError(
-            path, f"{int(bad.sum())} values of the image are NaN or infinite; nothing was written."
+            path, f"{count} values of the image are NaN or infinite; nothing was written.{hint}"
         )
     return pixels
 

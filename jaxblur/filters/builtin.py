@@ -10,6 +10,8 @@ from .registry import FilterInfo, register
 
 LAYERED_SLICE = 3
 """Samples that a time slice of layered takes: two guesses, and the search for what is in front."""
+LAYERED_RADIUS = 4095
+"""Largest radius of layered: a farther place leaves no room for depth in what it keeps of it."""
 _HALF_A_SPACING = 0.5
 """Largest jitter of the taps, in spacings, of the filters without a parameter for it."""
 
@@ -23,12 +25,17 @@ def needs_odd_samples(settings: Settings) -> None:
         )
 
 
-def needs_a_slice(settings: Settings) -> None:
-    """Reject fewer samples than a time slice takes."""
+def check_layered(settings: Settings) -> None:
+    """Reject fewer samples than a time slice takes, and a radius that is too large."""
     if settings.samples < LAYERED_SLICE:
         raise ValueError(
             f"`settings.samples` must be at least {LAYERED_SLICE} for layered, got "
             f"{settings.samples}."
+        )
+    if settings.radius > LAYERED_RADIUS:
+        raise ValueError(
+            f"`settings.radius` must be at most {LAYERED_RADIUS} for layered, got "
+            f"{settings.radius}; longer motions are cut to the radius."
         )
 
 
@@ -142,7 +149,7 @@ BUILTIN: Sequence[FilterInfo] = (
         function="jaxblur.filters.layered:layered",
         parameters=LayeredParameters,
         settings=Settings(radius=160, fetch="bilinear"),
-        check=needs_a_slice,
+        check=check_layered,
         row_reach=_layered_rows,
         takes_neighbors=True,
         takes_shutter=True,

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 RADIUS_STEP = 5
+LARGEST_SUGGESTION = 4000
+"""Pixels. Every filter takes such a radius."""
 PIXELS_AT_ONCE = 1_000_000
 """Pixels whose speeds are computed together, in double precision."""
 
@@ -25,7 +27,7 @@ class SpeedStatistics:
             clamp, 0..1.
         radius: the radius that ``beyond_share`` refers to, pixels.
         suggested_radius: the largest finite speed rounded up to a multiple of `RADIUS_STEP`, at
-            least one step and at most the larger side of the image.
+            least one step and at most the larger side of the image or `LARGEST_SUGGESTION`.
     """
 
     percentiles: dict[float, float]
@@ -88,5 +90,5 @@ def speed_statistics_of_blocks(
         non_finite_share=(pixels - count) / pixels,
         beyond_share=beyond / pixels,
         radius=radius,
-        suggested_radius=min(steps * RADIUS_STEP, max(size)),
+        suggested_radius=min(steps * RADIUS_STEP, max(size), LARGEST_SUGGESTION),
     )

@@ -146,8 +146,9 @@ def moves(path):
 
 def level_of(depth, radius):
     """Depths are told apart by levels, as many as a mark has room for."""
-    levels = 2 ** (31 - 2 * int(2 * radius).bit_length())
-    share = 1 - (depth + 10 * math.log(2)) / (32 * math.log(2))
+    levels = min(2 ** (31 - 2 * int(2 * radius).bit_length()), 2**23)
+    doublings = depth / math.log(2) + 10
+    share = np.interp(-doublings, [-70, -32, 0, 20], [0, 0.05, 0.95, 1])
     return min(max(math.floor(share * levels), 1), levels - 1)
 
 

@@ -21,7 +21,7 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...noise import Noise
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
-from ..builtin import needs_a_slice
+from ..builtin import check_layered
 from ..parameters import LayeredParameters
 from .owners import RESTS
 from .slices import (
@@ -31,8 +31,10 @@ from .slices import (
     Others,
     Plan,
     Sums,
-    check_neighbor,
+    check_frames,
+    checked_neighbor,
     exposed,
+    frames_of,
     longest_motion,
     passes_before,
     slices_along,
@@ -169,16 +171,19 @@ def blur_layers(
     parameters = LayeredParameters() if parameters is None else parameters
     check_parameters(parameters, LayeredParameters)
     settings = checked_settings(settings, Settings, "blur_layers")
-    needs_a_slice(settings)
+    check_layered(settings)
     if exposure is not None:
         check_shutter_record(exposure)
     holdouts = tuple(layer.holdout for layer in given)
     frames = tuple(dataclasses.replace(layer, holdout=False) for layer in given)
+    length = frames_of(shutter)
+    if any(layer.before is not None or layer.after is not None for layer in given):
+        check_frames(length)
     return _blended(
         frames,
         parameters,
         noise,
-        jnp.asarray(shutter),
+        length,
         exposure,
         settings=settings,
         holdouts=holdouts,
@@ -200,7 +205,8 @@ def _check_layer(number: int, layer: Layer, first: Layer) -> None:
             f"more, got {shape}. An opaque layer has an alpha of 1."
         )
     for side in ("before", "after"):
-        check_neighbor(f"{name}.{side}", getattr(layer, side), layer.frame)
+        if (neighbor := getattr(layer, side)) is not None:
+            checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
     if any(f is not None and f.valid is not None for f in (layer.frame, layer.before, layer.after)):
         raise ValueError(
             f"`{name}` must not have a mask (`Frame.valid`): in a layer, alpha says what is there."

@@ -31,7 +31,16 @@ RESTS, MOVES, MISSES = 0, 1, 2
 """What `states_of` tells of a pixel."""
 
 _NEAREST, _OCTAVES = -10, 32
-"""Depths are ordered from 2^-10 scene units on, over so many doublings."""
+"""Most levels are those of depths from 2^-10 scene units on, over so many doublings."""
+
+_BEFORE, _BEYOND = 20, 38
+"""Doublings of depth before and beyond those, as far as `.._weights.finite_depth` leaves depths."""
+
+_TAIL = 0.05
+"""Share of the levels that each of these two has, so that no unit of depth loses their order."""
+
+_MOST_LEVELS = 1 << 23
+"""Largest number of levels of depth: float32 holds each of them."""
 
 
 class Drawn(NamedTuple):
@@ -59,7 +68,8 @@ class Coding(NamedTuple):
 
     Attributes:
         bits: of an offset along one axis, from its owner to a pixel.
-        levels: of depth. At a radius of 160 a level is 0.3 percent of the depth, at 1000 five.
+        levels: of depth. At a radius of 160 a level is 0.3 percent of the depth, at 1000 five, and
+            at the largest radius (`..builtin.LAYERED_RADIUS`) it is a doubling.
     """
 
     bits: int
@@ -69,12 +79,15 @@ class Coding(NamedTuple):
     def of(cls, radius: int) -> "Coding":
         """The coding for offsets up to the radius."""
         bits = (2 * radius).bit_length()
-        return cls(bits, 1 << (31 - 2 * bits))
+        return cls(bits, min(1 << (31 - 2 * bits), _MOST_LEVELS))
 
     def level(self, log_depth: Array) -> Array:
         """From 1 for the farthest to ``levels - 1`` for the nearest; a whole number."""
-        nearest, range_ = _NEAREST * math.log(2), _OCTAVES * math.log(2)
-        share = 1 - (log_depth - nearest) / range_
+        doublings = log_depth * (1 / math.log(2)) - _NEAREST
+        before = jnp.clip(doublings * (1 / _BEFORE), -1, 0)
+        within = jnp.clip(doublings * (1 / _OCTAVES), 0, 1)
+        beyond = jnp.clip((doublings - _OCTAVES) * (1 / _BEYOND), 0, 1)
+        share = (1 - _TAIL) - _TAIL * (before + beyond) - (1 - 2 * _TAIL) * within
         level = jnp.floor(share * self.levels)
         return jnp.clip(level, 1, self.levels - 1)
 

@@ -19,7 +19,7 @@ from ...settings import Settings
 from .._sampling import find_texel
 from .._weights import SPEED_FLOOR
 from ..parameters import LayeredParameters
-from .silhouettes import Motion, motion_of, taken_from
+from .silhouettes import Motion, cut, motion_of, taken_from
 
 Vector = tuple[Array, Array]
 
@@ -77,7 +77,8 @@ def path_of_pixel(
     else:
         across, down = taken_from(pixel.taken_from)
         texel = find_texel(at, across, down, images.path)
-        opening_x, opening_y, closing_x, closing_y = images.path.read_texel(texel.number)
+        ends = cut(images.path.read_texel(texel.number))
+        opening_x, opening_y, closing_x, closing_y = ends
         x, y = (opening_x + closing_x) / 2, (opening_y + closing_y) / 2
         # Shorter by as much as the velocity was made shorter.
         speed = safe_norm((closing_x - opening_x) / 2, (closing_y - opening_y) / 2)

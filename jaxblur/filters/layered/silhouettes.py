@@ -23,8 +23,8 @@ from .._weights import SPEED_FLOOR, finite_depth
 
 NEIGHBORS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 
-_LONGEST = 1e18
-"""Pixels to which neighbors' velocities are cut, so that no square overflows."""
+LONGEST = 1e18
+"""Pixels to which velocities are cut, so that no square overflows and infinity is a length."""
 
 MIXED = 0.02
 """Least share of a nearer surface in a pixel's color that makes the pixel part of that surface."""
@@ -131,8 +131,8 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
     # The mean velocity of the other side.
     across, down = taken_from(start)
     row, column = at.row + down.astype(jnp.int32), at.column + across.astype(jnp.int32)
-    own = _cut(_velocity(images.motion.read(row, column)))
-    vectors = [_cut(_velocity(images.motion.read(*place))) for place in near]
+    own = _velocity(images.motion.read(row, column))
+    vectors = [_velocity(images.motion.read(*place)) for place in near]
     count = jnp.maximum(_count(apart, own[0]), 1)
     mean = [
         _sum(jnp.where(a, vector[axis], 0) for a, vector in zip(apart, vectors, strict=True))
@@ -199,14 +199,14 @@ def _share_of_nearer(at: At, images: Buffers, nearer: Array, covering: Array) ->
 def _velocity(channels: Sequence[Array]) -> Vector:
     """Velocity x, y of a pixel: that itself, or half of its path from opening to closing."""
     if len(channels) == 2:
-        return channels
-    opening_x, opening_y, closing_x, closing_y = channels
+        return cut(channels)
+    opening_x, opening_y, closing_x, closing_y = cut(channels)
     return (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
 
 
-def _cut(vector: Vector) -> Vector:
-    """The vector, no longer than squares of differences allow."""
-    return [jnp.clip(part, -_LONGEST, _LONGEST) for part in vector]
+def cut(vector: Vector) -> Vector:
+    """Components of vectors, no longer than squares of differences allow."""
+    return [jnp.clip(part, -LONGEST, LONGEST) for part in vector]
 
 
 def _sum(terms: Iterable[Array]) -> Array:

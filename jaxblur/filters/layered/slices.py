@@ -11,15 +11,17 @@ an object covers a pixel for as long as it is there.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import core
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
-from ...frame import Frame, check_frame, check_parameters, register_record
+from ...frame import Frame, check_frame, check_frame_type, check_parameters, register_record
 from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ...noise import Noise, resolve_noise
 from ...settings import Settings, checked_settings
@@ -28,7 +30,7 @@ from .._arguments import takes
 from .._masking import append_mask, divide_by_mask
 from .._sampling import find_texel, path_samples, read_color, read_color_along
 from .._weights import SPEED_FLOOR, anything_moves
-from ..builtin import LAYERED_SLICE, needs_a_slice
+from ..builtin import LAYERED_SLICE, check_layered
 from ..parameters import LayeredParameters
 from . import background
 from .clock import Clock, Span, Times, clock_of, scaled, time_of_light, time_of_owners
@@ -465,12 +467,13 @@ def layered(
         color is taken from.
 
     Raises:
-        ValueError: shapes disagree, there are fewer than three samples, a parameter is not a
-            scalar, the settings are those of another filter, or the exposure is none.
+        ValueError: shapes or dtypes disagree, there are fewer than three samples, the radius is
+            above 4095, a parameter is not a scalar, the shutter is not above 0, the settings are
+            those of another filter, or the exposure is none.
     """
     if exposure is not None:
         check_shutter_record(exposure)
-    others = Others(before, after, jnp.asarray(shutter), None, exposure)
+    others = Others(before, after, frames_of(shutter), None, exposure)
     return _checked(frame, parameters, noise, others, settings)
 
 
@@ -511,6 +514,75 @@ def layered_with_hidden(
     return _checked(frame, parameters, noise, others, settings)
 
 
+def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
+    """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame.
+
+    Args:
+        neighbor: it.
+        name: of the argument.
+        frame: checked.
+
+    Returns:
+        The neighbor.
+
+    Raises:
+        ValueError: it is no frame, or shapes or dtypes disagree.
+    """
+    check_frame_type(neighbor, name)
+    if jnp.shape(neighbor.color) != frame.color.shape:
+        raise ValueError(
+            f"`{name}` must have the shape of `frame`, {frame.color.shape}, got "
+            f"{jnp.shape(neighbor.color)}."
+        )
+    try:
+        checked = check_frame(neighbor)
+    except ValueError as error:
+        raise ValueError(str(error).replace("`frame.", f"`{name}.")) from error
+    if checked.color.dtype != frame.color.dtype:
+        raise ValueError(
+            f"`{name}` must have the dtype of `frame`, {frame.color.dtype}, got "
+            f"{checked.color.dtype}; convert all buffers to one."
+        )
+    return checked
+
+
+def frames_of(shutter: ArrayLike) -> jax.Array:
+    """The length of an exposure in frames as an array.
+
+    Args:
+        shutter: a number.
+
+    Returns:
+        It.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        frames = jnp.asarray(shutter)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`shutter` must be a number of frames, got {shutter!r}.") from error
+    if frames.shape or jnp.iscomplexobj(frames):
+        kind = f"{frames.dtype} of shape {frames.shape}"
+        raise ValueError(f"`shutter` must be a number of frames, got {kind}.")
+    return frames
+
+
+def check_frames(shutter: jax.Array) -> None:
+    """Reject an exposure that relates no frame to the next; a traced one is not looked at.
+
+    Args:
+        shutter: its length in frames.
+
+    Raises:
+        ValueError: it is not above 0.
+    """
+    if not isinstance(shutter, core.Tracer) and not 0 < float(shutter) < math.inf:
+        raise ValueError(
+            f"`shutter` must be above 0 frames where neighbors are given, got {shutter}."
+        )
+
+
 def _checked(
     frame: Frame,
     parameters: LayeredParameters,
@@ -520,41 +592,19 @@ def _checked(
 ) -> jax.Array:
     """Check what jit does not see, and give all frames a mask if one has one."""
     settings = checked_settings(settings, Settings, "layered")
-    needs_a_slice(settings)
+    check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
-    for name, neighbor in given.items():
-        check_neighbor(name, neighbor, frame)
-    if any(f is not None and f.valid is not None for f in (frame, *given.values())):
-        everything = jnp.ones(jnp.shape(frame.depth), bool)
+    given = {name: neighbor for name, neighbor in given.items() if neighbor is not None}
+    if given:
+        frame = check_frame(frame)
+        check_frames(others.shutter)
+        given = {name: checked_neighbor(given[name], name, frame) for name in given}
+    if any(f.valid is not None for f in given.values()) or (given and frame.valid is not None):
+        everything = jnp.ones(frame.depth.shape, bool)
 
         def masked(frame: Frame) -> Frame:
             return frame if frame.valid is not None else frame.replace(valid=everything)
 
-        frame = masked(frame)
-        given = {k: None if f is None else append_mask(masked(f)) for k, f in given.items()}
-        others = others._replace(**given)
-    else:
-        given = {k: None if f is None else check_frame(f) for k, f in given.items()}
-        others = others._replace(**given)
+        frame, given = masked(frame), {k: append_mask(masked(f)) for k, f in given.items()}
+    others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)
-
-
-def check_neighbor(name: str, neighbor: Frame | None, frame: Frame) -> None:
-    """Reject a neighbor that is no frame, or of another shape.
-
-    Args:
-        name: of the argument.
-        neighbor: it.
-        frame: that it is a neighbor of.
-
-    Raises:
-        ValueError: see above.
-    """
-    if neighbor is None:
-        return
-    if not isinstance(neighbor, Frame):
-        kind = type(neighbor).__name__
-        raise ValueError(f"`{name}` must be a jaxblur.Frame or None, got {kind}.")
-    expected, shape = jnp.shape(frame.color), jnp.shape(neighbor.color)
-    if shape != expected:
-        raise ValueError(f"`{name}` must have the shape of `frame`, {expected}, got {shape}.")
