@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
 # Frames, numbers and light: what every layer may know.
-FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "srgb"}
+FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "srgb", "strength"}
 CORE = FRAMES | {"kernels", "filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
@@ -22,6 +22,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "frame": {"camera"},
     "safe_math": set(),
     "settings": set(),
+    "strength": {"frame", "safe_math"},
     "srgb": set(),
     "nonfinite": {"frame"},
     "noise": {"frame", "settings"},
