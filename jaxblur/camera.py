@@ -300,7 +300,9 @@ def path_between_cameras(
     dtype = jnp.result_type(jnp.float32, depth.dtype)
 
     def plain(move: CameraMove) -> CameraMove:
-        return jax.tree.map(lambda value: jnp.asarray(value, dtype), move)
+        intrinsics = Intrinsics(*(jnp.asarray(value, dtype) for value in move.intrinsics))
+        rotation, translation = (jnp.asarray(value, dtype) for value in move[:2])
+        return CameraMove(rotation, translation, intrinsics)
 
     moves = [None if move is None else plain(move) for move in (before, after)]
     camera = Intrinsics(*(jnp.asarray(value, dtype) for value in intrinsics))

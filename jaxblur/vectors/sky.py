@@ -112,7 +112,8 @@ def fit_camera_velocity(frame: Frame) -> CameraFit:
     seen &= ~(sky & ~velocity.any(axis=-1))
     if seen.sum() < FEWEST:
         raise ValueError(
-            f"`frame` must show surfaces at {FEWEST} or more of every ninth pixel, got {seen.sum()}."
+            f"`frame` must show surfaces at {FEWEST} or more of every ninth pixel, got "
+            f"{seen.sum()}."
         )
     surfaces = depth[seen & ~sky]
     unit = np.median(surfaces) if surfaces.size else 1.0
