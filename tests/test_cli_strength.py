@@ -41,12 +41,12 @@ def ids(names):
     return {f"CryptoObject{end}": plane.astype(np.float32) for end, plane in planes.items()}
 
 
-def crypto_notes(manifest=("/hero", "/set/ground"), **changes):
+def crypto_notes(listed=("/hero", "/set/ground"), **changes):
     notes = {
         "name": "CryptoObject",
         "hash": "MurmurHash3_32",
         "conversion": "uint32_to_float32",
-        "manifest": json.dumps({name: f"{exr.identifier_of(name):08x}" for name in manifest}),
+        "manifest": json.dumps({name: f"{exr.identifier_of(name):08x}" for name in listed}),
     } | changes
     return {f"cryptomatte/a1b2c3d/{key}": value for key, value in notes.items()}
 
@@ -137,7 +137,7 @@ def test_layers_that_share_a_name_are_told_apart(tmp_path):
     }
     channels = frame() | ids(("/hero", "/set/ground")) | material
     path = write_single(tmp_path / "a.exr", channels, **notes)
-    with pytest.raises(exr.JaxblurIOError, match="write CryptoObject:/hero or CryptoMaterial:"):
+    with pytest.raises(exr.JaxblurIOError, match="write CryptoMaterial:/hero or CryptoObject:"):
         exr.read_cryptomatte(path, "/hero")
     assert exr.read_cryptomatte(path, "CryptoMaterial:/hero").max() == 0.75
 
@@ -340,16 +340,21 @@ def test_objects_only_by_a_file_and_by_the_fit(tmp_path):
     assert note(tmp_path / "out.exr") == "objects only, camera fitted"
 
 
+def alike(image, other):
+    """Equal but for some reads of the nearest texel, which jump to the next one."""
+    assert np.abs(image - other).mean() < 2e-3 < 0.05 < image.std()
+
+
 def test_camera_only_and_shares(tmp_path):
     path, _ = shot(tmp_path / "a.0011.exr")
     still, _ = shot(tmp_path / "still.0011.exr", speed=(0, 0))
     by_file = ("--camera", camera_json(tmp_path / "cam.json"))
     options = ("--shutter", "1")
     camera = blurred(path, *options, "--camera-only", *by_file)
-    np.testing.assert_allclose(camera, blurred(still, *options), atol=2e-3)
+    alike(camera, blurred(still, *options))
     # 30 % of the camera's motion of a world at rest is 30 % of the exposure.
     share = blurred(still, *options, "--camera-motion", "30%", *by_file)
-    np.testing.assert_allclose(share, blurred(still, "--shutter", "0.3"), atol=2e-3)
+    alike(share, blurred(still, "--shutter", "0.3"))
     whole = blurred(path, *options, "--camera-motion", "1", *by_file)
     np.testing.assert_allclose(whole, blurred(path, *options), atol=1e-5)
 
@@ -364,7 +369,7 @@ def test_cameras_that_explain_nothing_are_reported(tmp_path):
 
 
 def test_sky_without_vectors_stays(tmp_path):
-    path, block = shot(tmp_path / "a.0011.exr")
+    path, _ = shot(tmp_path / "a.0011.exr")
     spec, pixels = _raw(path)
     names = list(spec.channelnames)
     for name in names:
@@ -460,7 +465,7 @@ def test_workers_know_the_strength(tmp_path):
 # Color passes.
 
 
-def write_passes(path, seed=0, kinds="float", **changes):
+def write_passes(path, seed=0):
     """A beauty that is the sum of three passes, and layers of data."""
     generator = np.random.default_rng(seed)
     row, column = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -478,7 +483,7 @@ def write_passes(path, seed=0, kinds="float", **changes):
     channels["A"] = np.where(HERO, 1, 0.5).astype(np.float32)
     channels |= ids(("/hero", "/set/ground"))
     channels = dict(sorted(channels.items()))
-    return write_single(path, channels, kinds, **crypto_notes()), channels
+    return write_single(path, channels, **crypto_notes()), channels
 
 
 @pytest.mark.parametrize("filter", ["layered", "guertin2014"])
@@ -558,15 +563,18 @@ def test_a_frame_without_passes(tmp_path):
 
 
 def test_passes_of_neighbors(tmp_path):
-    for number in (10, 11):
-        write_passes(tmp_path / f"a.{number:04d}.exr", seed=number)
-    names = tmp_path / "a.####.exr", "-o", tmp_path / "o.####.exr"
-    outcome = run("blur", *names, "--preset", "jaxblur", "--all-color", "--shutter", "1")
+    (path, _), (before, _) = (write_passes(tmp_path / f"{n}.exr", seed=n) for n in (11, 10))
+    output = tmp_path / "out.exr"
+    options = ("--preset", "jaxblur", "--shutter", "1", "--before", before)
+    outcome = run("blur", path, "-o", output, *options, "--all-color")
     assert outcome.status == 0, outcome.err
-    output = tmp_path / "o.0011.exr"
-    assert note(output, "jaxblur:neighbors") == "before a.0010.exr"
+    assert note(output, "jaxblur:neighbors") == "before 10.exr"
     total = sum(
         exr.read_channels(output, [f"{name}.{letter}" for letter in "RGB"])
         for name in ("diffuse", "specular", "emission")
     )
     np.testing.assert_allclose(total, exr.read_channels(output, ["R", "G", "B"]), atol=1e-5)
+    fewer = {k: v for k, v in write_passes(before)[1].items() if not k.startswith("emission")}
+    write_single(before, fewer)
+    outcome = refused("blur", path, "-o", output, "--overwrite", *options, "--all-color")
+    assert "has other color passes" in outcome
