@@ -10,9 +10,11 @@ from . import (
 )
 from .batch import blur_batch as blur_batch, blur_subframes as blur_subframes
 from .camera import (
+    CameraMove as CameraMove,
     Intrinsics as Intrinsics,
     camera_path as camera_path,
     camera_velocity as camera_velocity,
+    path_between_cameras as path_between_cameras,
 )
 from .exr import read_frame as read_frame, write_image as write_image
 from .filters import (
@@ -52,10 +54,26 @@ from .planning import (
 )
 from .settings import GuertinSettings as GuertinSettings, Settings as Settings
 from .shutter import Shutter as Shutter
+from .strength import (
+    MOTION_LIMITS as MOTION_LIMITS,
+    MotionLimits as MotionLimits,
+    SplitMotion as SplitMotion,
+    add_velocity as add_velocity,
+    limit_motion as limit_motion,
+    replace_camera_motion as replace_camera_motion,
+    scale_motion as scale_motion,
+    split_motion as split_motion,
+    within_limits as within_limits,
+    without_camera as without_camera,
+)
 from .vectors.encoding import (
     decode_velocity as decode_velocity,
     encode_velocity as encode_velocity,
 )
-from .vectors.sky import turning_sky as turning_sky
+from .vectors.sky import (
+    CameraFit as CameraFit,
+    fit_camera_velocity as fit_camera_velocity,
+    turning_sky as turning_sky,
+)
 
 __version__: str

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import jax
 import jax.export
 import jax.numpy as jnp
+import numpy as np
 from jax import core
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
@@ -79,6 +80,83 @@ class Intrinsics(NamedTuple):
 
 
 jax.export.register_namedtuple_serialization(Intrinsics, serialized_name="jaxblur.Intrinsics")
+
+
+class CameraMove(NamedTuple):
+    """The way from one camera to another one, in the axes of the first.
+
+    A pytree of arrays, all differentiable.
+
+    Attributes:
+        rotation: (3,) rotation vector in radians.
+        translation: (3,) way of the camera's center in the units of depth.
+        intrinsics: those of the other camera.
+    """
+
+    rotation: ArrayLike
+    translation: ArrayLike
+    intrinsics: Intrinsics
+
+    @classmethod
+    def between(cls, start: ArrayLike, end: ArrayLike, intrinsics: Intrinsics) -> "CameraMove":
+        """Find the move from one matrix to another one; in NumPy, with 64 bits.
+
+        Args:
+            start: (4, 4) matrix from the world to the camera whose axes are those of the module,
+                for column vectors: its last row is 0, 0, 0, 1.
+            end: that of the other camera.
+            intrinsics: those of the other camera.
+
+        Returns:
+            The move.
+
+        Raises:
+            ValueError: a matrix has another shape, cannot be inverted, or the two differ by more
+                than a rotation and a translation.
+        """
+        matrices = {"start": np.asarray(start, float), "end": np.asarray(end, float)}
+        for name, matrix in matrices.items():
+            if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+                raise ValueError(f"`{name}` must be a finite 4 x 4 matrix, got {matrix.tolist()}.")
+            if abs(np.linalg.det(matrix)) < _SINGULAR:
+                raise ValueError(f"`{name}` must have an inverse, got {matrix.tolist()}.")
+        change = matrices["end"] @ np.linalg.inv(matrices["start"])
+        turn = change[:3, :3]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(turn) < 0:
+            raise ValueError(
+                "`end` must differ from `start` by a rotation and a translation, got also a scale, "
+                "a shear or a mirror."
+            )
+        center = -turn.T @ change[:3, 3]
+        return cls(_rotation_vector(turn.T), center, intrinsics)
+
+
+jax.export.register_namedtuple_serialization(CameraMove, serialized_name="jaxblur.CameraMove")
+
+_SINGULAR, _ORTHOGONAL = 1e-12, 1e-3
+
+
+def _rotation_vector(turn: np.ndarray) -> np.ndarray:
+    """The logarithm of a rotation, through its unit quaternion of positive real part."""
+    trace = float(np.trace(turn))
+    index = int(np.argmax([trace, *np.diag(turn)]))
+    quaternion = np.empty(4)
+    if index == 0:
+        quaternion[:] = 1 + trace, *_axis_part(turn)
+    else:
+        i, j, k = (index - 1 + np.arange(3)) % 3
+        quaternion[0] = turn[k, j] - turn[j, k]
+        quaternion[1 + i] = 1 - trace + 2 * turn[i, i]
+        quaternion[1 + j] = turn[j, i] + turn[i, j]
+        quaternion[1 + k] = turn[k, i] + turn[i, k]
+    quaternion *= np.copysign(1, quaternion[0]) / np.linalg.norm(quaternion)
+    sine = np.linalg.norm(quaternion[1:])
+    half = np.arctan2(sine, quaternion[0])
+    return quaternion[1:] * (2 * half / sine if sine > 0 else 2.0)
+
+
+def _axis_part(turn: np.ndarray) -> np.ndarray:
+    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
 
 
 def camera_velocity(
@@ -166,11 +244,7 @@ def _camera_path(
     intrinsics: Intrinsics,
     shutter: Float[Array, ""],
 ) -> Float[Array, "height width 2 2"]:
-    height, width = depth.shape
-    x = (jnp.arange(width, dtype=depth.dtype) + 0.5 - intrinsics.center_x) / intrinsics.focal_x
-    y = (jnp.arange(height, dtype=depth.dtype) + 0.5 - intrinsics.center_y) / intrinsics.focal_y
-    x, y = jnp.meshgrid(x, y)
-    ray = jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
+    ray = _rays(depth, intrinsics)
     # In units of the point's depth, so that infinity is a number like others.
     inverse = (1 / depth)[..., None]
     focal = jnp.stack([intrinsics.focal_x, intrinsics.focal_y])
@@ -183,6 +257,99 @@ def _camera_path(
         return focal * (shift[..., :2] - ray[..., :2] * ahead) / jnp.maximum(1 + ahead, NEAREST)
 
     return jnp.stack([displacement(side * shutter) for side in (-0.5, 0.5)], axis=-2)
+
+
+def path_between_cameras(
+    depth: ArrayLike,
+    intrinsics: Intrinsics,
+    *,
+    before: CameraMove | None = None,
+    after: CameraMove | None = None,
+    shutter: ArrayLike = 0.5,
+) -> Float[Array, "height width 2 2"]:
+    """Displacement of a static scene at opening and closing, from cameras of three frames.
+
+    At the time t after the frame, in frames, the camera has gone the share ``|t|`` of the way to
+    the next frame's, or to the frame's before: its center and its intrinsics on a straight line,
+    its turn at a constant rate about one axis (slerp). Points at infinity move by the turn alone. A
+    point that would come nearer to the camera than a twentieth of its depth is treated as if it
+    stayed there.
+
+    Args:
+        depth: (H, W) positive planar depth, ``+inf`` for sky.
+        intrinsics: those of the frame.
+        before: the move from the frame's camera to that of the frame before. Without it the camera
+            is taken to come as it goes on.
+        after: the move to the camera of the frame after; likewise.
+        shutter: exposure in frames. A share of the camera's motion is that share of the exposure.
+
+    Returns:
+        (H, W, 2, 2) pixels, x right, y down: ``path`` of a `Frame`. Differentiable in depth, moves,
+        intrinsics and shutter.
+
+    Raises:
+        ValueError: depth is no image, or there is no move.
+
+    Source: McGuire et al. 2012, section 4.1: "slerp for the rotation and lerp for the translation".
+    """
+    depth = jnp.asarray(depth)
+    if depth.ndim != 2:
+        raise ValueError(f"`depth` must have shape (height, width), got {depth.shape}.")
+    if before is None and after is None:
+        raise ValueError("`before` or `after` must be a CameraMove, got neither.")
+    dtype = jnp.result_type(jnp.float32, depth.dtype)
+
+    def plain(move: CameraMove) -> CameraMove:
+        intrinsics = Intrinsics(*(jnp.asarray(value, dtype) for value in move.intrinsics))
+        rotation, translation = (jnp.asarray(value, dtype) for value in move[:2])
+        return CameraMove(rotation, translation, intrinsics)
+
+    moves = [None if move is None else plain(move) for move in (before, after)]
+    camera = Intrinsics(*(jnp.asarray(value, dtype) for value in intrinsics))
+    return _path_between(depth.astype(dtype), camera, *moves, jnp.asarray(shutter, dtype))
+
+
+@jax.jit
+def _path_between(
+    depth: Float[Array, "height width"],
+    intrinsics: Intrinsics,
+    before: CameraMove | None,
+    after: CameraMove | None,
+    shutter: Float[Array, ""],
+) -> Float[Array, "height width 2 2"]:
+    ray = _rays(depth, intrinsics)
+    inverse = (1 / depth)[..., None]
+    focal = jnp.stack([intrinsics.focal_x, intrinsics.focal_y])
+
+    def displacement(move: CameraMove, time: Float[Array, ""]) -> Float[Array, "height width 2"]:
+        turn, _ = _change(jnp.concatenate([-time * move.rotation, jnp.zeros(3, depth.dtype)]))
+        travel = time * move.translation
+        shift = ray @ turn.T - inverse * (travel + turn @ travel)
+        ahead = shift[..., 2:]
+        place = (shift[..., :2] - ray[..., :2] * ahead) / jnp.maximum(1 + ahead, NEAREST)
+        zoom = [time * (b - a) for a, b in zip(intrinsics, move.intrinsics, strict=True)]
+        wider, aside = jnp.stack(zoom[:2]), jnp.stack(zoom[2:])
+        return focal * place + wider * (ray[..., :2] + place) + aside
+
+    # A side without a camera of its own: the other one, backwards.
+    sides = [(before, 1), (after, 1)]
+    if before is None:
+        sides[0] = (after, -1)
+    if after is None:
+        sides[1] = (before, -1)
+    ends = [displacement(move, sign * shutter / 2) for move, sign in sides if move is not None]
+    return jnp.stack(ends, axis=-2)
+
+
+def _rays(
+    depth: Float[Array, "height width"], intrinsics: Intrinsics
+) -> Float[Array, "height width 3"]:
+    """The point of each pixel at depth 1."""
+    height, width = depth.shape
+    x = (jnp.arange(width, dtype=depth.dtype) + 0.5 - intrinsics.center_x) / intrinsics.focal_x
+    y = (jnp.arange(height, dtype=depth.dtype) + 0.5 - intrinsics.center_y) / intrinsics.focal_y
+    x, y = jnp.meshgrid(x, y)
+    return jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
 
 
 def _change(twist: Float[Array, " 6"]) -> tuple[Float[Array, "3 3"], Float[Array, " 3"]]:

@@ -13,6 +13,8 @@ velocity (H, W, 2)    **half-spread** in pixels, ``(x right, y down)``
 path     (H, W, 2, 2) optional: displacement of the point, in pixels ``(x right, y down)``, at
                       shutter opening ``[..., 0, :]`` and at shutter closing ``[..., 1, :]``
 valid    (H, W)       optional: False or 0 where the color is unknown; filters leave it out
+guide    (H, W, G)    optional: colors that show of which surface a pixel is, where those of
+                      ``color`` do not, as in a pass of reflections; `layered` looks at them
 ======== ============ =====================================================================
 
 Pixels are ``row, column``; row 0 is the top. A surface point at pixel ``p`` covers
@@ -82,6 +84,9 @@ class Frame:
         path: (H, W, 2, 2) displacement at shutter opening and closing in pixels, or None.
         valid: (H, W) False or 0 where the color is unknown, or None: such a sample contributes
             neither color nor weight, see `jaxblur.finite_frame`.
+        guide: (H, W, G) colors that a filter whose weights depend on color looks at instead of
+            ``color``, or None. Passes of one picture that have its beauty as their guide are all
+            blurred by the same weights, and add up to the blurred beauty.
     """
 
     color: jax.Array
@@ -89,6 +94,7 @@ class Frame:
     velocity: jax.Array
     path: jax.Array | None = None
     valid: jax.Array | None = None
+    guide: jax.Array | None = None
 
     if TYPE_CHECKING:
         # NumPy arrays are taken too; filters return JAX arrays.
@@ -99,6 +105,7 @@ class Frame:
             velocity: ArrayLike,
             path: ArrayLike | None = None,
             valid: ArrayLike | None = None,
+            guide: ArrayLike | None = None,
         ) -> None: ...
 
     @classmethod
@@ -260,6 +267,8 @@ def check_frame(frame: Frame) -> Frame:
         )
     size = color.shape[:2]
     expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2), "valid": size}
+    if "guide" in buffers:
+        expected["guide"] = (*size, *buffers["guide"].shape[-1:])
     for name, shape in expected.items():
         if name in buffers and buffers[name].shape != shape:
             raise ValueError(

@@ -11,7 +11,10 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
 # Frames, numbers and light: what every layer may know.
-FRAMES = {"camera", "frame", "noise", "nonfinite", "safe_math", "settings", "shutter", "srgb"}
+FRAMES = {
+    *("camera", "frame", "noise", "nonfinite", "safe_math", "settings", "shutter", "srgb"),
+    "strength",
+}
 CORE = FRAMES | {"kernels", "filters"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
@@ -23,6 +26,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "safe_math": set(),
     "settings": set(),
     "shutter": {"frame"},
+    "strength": {"frame", "safe_math"},
     "srgb": set(),
     "nonfinite": {"frame"},
     "noise": {"frame", "settings"},

@@ -1,5 +1,7 @@
-"""Escape text from files, so that it cannot control a terminal."""
+"""Text of messages: names from files are escaped, and the nearest known name is suggested."""
 
+import difflib
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -23,6 +25,19 @@ def printable(text: Any) -> str:
 def one_line(text: str) -> str:
     """Join lines, then escape with `printable`."""
     return printable(" ".join(text.split()))
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Suggest up to three known names near a mistyped one, in any case, or nothing.
+
+    >>> nearest("herro", ["hero", "Hero2", "ground"])
+    ' (did you mean hero or Hero2?)'
+    """
+    lowered: dict[str, str] = {}
+    for each in known:
+        lowered.setdefault(each.lower(), each)
+    near = difflib.get_close_matches(name.lower(), lowered, n=3)
+    return f" (did you mean {' or '.join(lowered[each] for each in near)}?)" if near else ""
 
 
 def _escaped(character: str) -> str:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, results, sequence, stages
+from . import isolation, results, sequence, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -71,6 +71,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--drop-extra", action="store_true", help="write the color alone, not the other channels"
     )
+    strength.add_pass_options(parser)
     parser.add_argument(
         "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
     )
@@ -96,6 +97,7 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="fail, rather than warn, if the vectors move nothing by half a pixel",
     )
+    strength.add_options(parser)
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 
@@ -174,6 +176,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_plan(arguments)
     _check_motion(arguments)
     _check_colors(arguments)
+    strength.check(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
@@ -207,7 +210,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
     done = time.perf_counter()
-    images = {"input": loaded.buffers.color, chosen.name: blurred}
+    images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)
     provenance = stages.provenance(arguments, chosen, loaded)
     if parts:
@@ -223,7 +226,8 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     if arguments.result:
         settings = results.settings_of(chosen)
         name, sources = arguments.input.name, vars(arguments)
-        shot = results.make_shot(name, loaded, blurred, chosen.name, settings, sources)
+        picture = loaded.picture(blurred)
+        shot = results.make_shot(name, loaded, picture, chosen.name, settings, sources)
         results.write(arguments, [shot])
     return 0
 
@@ -299,10 +303,10 @@ def _check_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> Non
         return
     if arguments.shutter == 0:
         raise CommandError(f"--{more[0]}: --shutter 0 blurs nothing; leave out one of the two.")
-    for option in ("velocity_from", "depth_from"):
+    for option in ("velocity_from", "depth_from", "matte_from"):
         if getattr(arguments, option) is not None:
             raise CommandError(
-                f"--{more[0]}: such frames bring their own vectors and depth; leave out "
+                f"--{more[0]}: such frames bring their own vectors, depth and mattes; leave out "
                 f"--{option.replace('_', '-')}, or give the frames as a sequence: name.####.exr."
             )
     if sides and arguments.subframes is not None:
@@ -390,5 +394,5 @@ def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
     files = (arguments.input, arguments.velocity_from, arguments.depth_from, arguments.truth)
-    more = (arguments.before, arguments.after, *_subframe_files(arguments))
+    more = (arguments.matte_from, arguments.before, arguments.after, *_subframe_files(arguments))
     return [path for path in (*files, *more) if path is not None]

@@ -16,7 +16,7 @@ from typing import Any
 
 import jaxblur
 
-from . import results, stages
+from . import results, stages, strength
 from .arguments import CommandError, frame_numbers, in_option_names, positive_integer
 from .compute import start_jax
 from .console import print_line, print_table
@@ -39,6 +39,8 @@ NOT_A_CHOICE = frozenset(
         *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
+        # A file of cameras counts by its contents.
+        *("matte_from", "camera"),
         # The quality counts by its samples.
         *(
             "quality",
@@ -273,7 +275,7 @@ class FrameWork:
             stages.write(self._at(job), job.outputs, image, notes, loaded)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
-            images = {"input": loaded.buffers.color, "output": image}
+            images = {"input": loaded.buffers.color, "output": loaded.picture(image)}
             scored = stages.scores_of(images, loaded)
         sides = {"before": job.frame - 1, "after": job.frame + 1}
         used = loaded.neighbors if stages.NEIGHBORS in notes else ()
@@ -318,7 +320,7 @@ class FrameWork:
         return argparse.Namespace(**vars(self.arguments) | here)
 
 
-_ROLES = ("input", "velocity_from", "depth_from", "truth")
+_ROLES = ("input", "velocity_from", "depth_from", "matte_from", "truth")
 
 
 class _Run:
@@ -464,6 +466,8 @@ def _uses_neighbors(arguments: argparse.Namespace, asked: stages.Choice) -> bool
     """Whether frames may see their neighbors; a plan may choose a filter that takes them."""
     if arguments.neighbors == "off" or arguments.shutter == 0:
         return False
+    if strength.looks_at_neighbors(arguments):
+        return True
     return arguments.plan is not None or takes_neighbors(asked.name)
 
 
@@ -531,6 +535,8 @@ def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, A
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:
         given["exposure"] = arguments.exposure._asdict()
+    is_file = isinstance(arguments.camera, pathlib.Path)
+    given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
     usual = dataclasses.asdict(type(asked.settings)())
     changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}

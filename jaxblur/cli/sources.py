@@ -8,6 +8,7 @@ from typing import Any
 
 from .arguments import channel_names, file_path, positive_number, preset_name
 from .shutter import add_exposure, add_fps
+from .strength import describe_passes, passes_of
 
 LOG = logging.getLogger("jaxblur")
 
@@ -115,8 +116,11 @@ def read(arguments: argparse.Namespace) -> Any:
         velocity_channels=arguments.velocity_channels,
         depth_channel=arguments.depth_channel,
         nonfinite=arguments.nonfinite,
+        also=passes_of(arguments),
     )
     LOG.info("color: %s", ", ".join(buffers.color_channels))
+    if buffers.pass_channels:
+        LOG.info("passes: %s", describe_passes(buffers.pass_channels))
     LOG.info("vectors: %s", buffers.guess.reason)
     LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
     return _with_turning_sky(arguments.input, buffers) if arguments.sky == "camera" else buffers

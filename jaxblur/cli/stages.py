@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jaxblur
 from jaxblur.settings import Settings
 
-from . import sources
+from . import sources, strength
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter, takes_neighbors
 from .shutter import Exposure
@@ -31,6 +31,8 @@ BLURRED = "jaxblur:blurred"
 """Header attribute: the color channels that were blurred, by this and by earlier runs."""
 NEIGHBORS = "jaxblur:neighbors"
 """Header attribute: the frames before and after that a frame was blurred with."""
+MOTION = "jaxblur:motion"
+"""Header attribute: how the motion of the frame was changed before the blur, in words."""
 SUBFRAMES = "jaxblur:subframes"
 """Header attribute: the renders inside the exposure whose blur was averaged."""
 
@@ -57,11 +59,13 @@ class Source(NamedTuple):
         path: the file with the color.
         buffers: as `jaxblur.exr.read_buffers` gives them.
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
+        motion: how its motion was changed, in words; see `strength.apply`.
     """
 
     path: pathlib.Path
     buffers: Any
     states: Any
+    motion: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +82,7 @@ class Loaded:
         neighbors: the frames ``before`` and ``after``, as far as they are used.
         shutter: exposure, in units of the time from one neighbor to the frame.
         exposure: a `.shutter.Exposure`; None for a box centered on the frame.
+        motion: how its motion was changed, in words.
     """
 
     buffers: Any
@@ -89,6 +94,11 @@ class Loaded:
     neighbors: Mapping[str, Source] = dataclasses.field(default_factory=dict)
     shutter: float = 0.5
     exposure: Exposure | None = None
+    motion: str = ""
+
+    def picture(self, blurred: Any) -> Any:
+        """The blurred picture, without further passes."""
+        return blurred[..., : self.buffers.color.shape[2]]
 
     def with_neighbors(self, neighbors: Mapping[str, Source]) -> "Loaded":
         """The frame with neighbors, whose files must not change either."""
@@ -131,9 +141,11 @@ def read(arguments: argparse.Namespace) -> Source:
     """
     from jaxblur import exr
 
-    files = (arguments.input, arguments.velocity_from, arguments.depth_from)
+    mattes = getattr(arguments, "matte_from", None)
+    files = (arguments.input, arguments.velocity_from, arguments.depth_from, mattes)
     states = exr.FileStates.of(path for path in files if path is not None)
-    return Source(arguments.input, sources.read(arguments), states)
+    buffers, motion = strength.apply(arguments, sources.read(arguments))
+    return Source(arguments.input, buffers, states, motion)
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -163,7 +175,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     # The radius limits the displacement at the longest time from the frame.
     seen = velocity if exposure is None else velocity * np.float32(exposure.reach)
     speeds = vectors.speed_statistics(seen, settings.radius)
-    _check_motion(arguments, buffers, speeds.percentiles[100.0])
+    _check_motion(arguments, source, speeds.percentiles[100.0])
     return Loaded(
         buffers,
         truth,
@@ -173,6 +185,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         source.states,
         shutter=arguments.shutter,
         exposure=exposure,
+        motion=source.motion,
     )
 
 
@@ -182,14 +195,15 @@ def mismatch(loaded: Loaded, source: Source) -> str:
         buffers.color.shape for buffers in (loaded.buffers, source.buffers)
     )
     if (height, width, channels) == (rows, columns, others):
-        return ""
+        passes = loaded.buffers.pass_channels
+        return "" if source.buffers.pass_channels == passes else "has other color passes"
     return (
         f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
         f"{width}x{height} and {channels}"
     )
 
 
-def _check_motion(arguments: argparse.Namespace, buffers: Any, fastest: float) -> None:
+def _check_motion(arguments: argparse.Namespace, source: Source, fastest: float) -> None:
     """Warn if nothing moves by more than half a pixel, or fail with ``--require-motion``.
 
     Raises:
@@ -197,12 +211,14 @@ def _check_motion(arguments: argparse.Namespace, buffers: Any, fastest: float) -
     """
     if fastest >= STILL or arguments.shutter == 0:
         return
-    if fastest == 0:
+    if source.motion:
+        why = f"the longest half-spread is {fastest:.2g} px with motion {source.motion}"
+    elif fastest == 0:
         why = "all vectors are zero: was the pass rendered?"
     else:
         why = f"the longest half-spread is {fastest:.2g} px: check --preset and --shutter"
         # Over a full frame, fractions of the picture are below 1, in pixels or not.
-        if buffers.guess.preset.scale == "pixels" and 2 * fastest / arguments.shutter <= 1:
+        if source.buffers.guess.preset.scale == "pixels" and 2 * fastest / arguments.shutter <= 1:
             why += "; such values can be fractions of the frame: try --preset uv, ndc or unity"
     file = arguments.velocity_from or arguments.input
     if getattr(arguments, "require_motion", False):
@@ -345,15 +361,18 @@ def write(
     """
     from jaxblur import exr
 
-    colors = loaded.colors
+    colors, buffers = loaded.colors, loaded.buffers
     from_exr = arguments.input.suffix.lower() == ".exr"
+    channels = arguments.color_channels
+    if buffers.pass_channels:
+        channels = [*buffers.color_channels, *buffers.pass_channels]
     for position, output in enumerate(outputs):
         # Once the first file is there, the others, of the same pixels, belong beside it: an input
         # that changes after that is not used any more.
         unchanged = loaded.states if position == 0 else None
         if output.suffix.lower() == ".png":
             words = {} if colors.is_identity else {exr.COLORS: colors.words}
-            shown, notes = colors.light(image), dict(provenance) | words
+            shown, notes = colors.light(loaded.picture(image)), dict(provenance) | words
             exr.write_image(output, shown, attributes=notes, unchanged=unchanged)
             LOG.info(".png: %s", PNG_TRANSFORM if colors.view is None else "8 bit, in that view")
             continue
@@ -364,7 +383,7 @@ def write(
             extra="drop" if arguments.drop_extra else "keep",
             attributes=provenance,
             layer=arguments.layer,
-            color_channels=arguments.color_channels,
+            color_channels=channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
             unchanged=unchanged,
         )
@@ -383,12 +402,17 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         used |= loaded.exposure.notes()
     if arguments.seed is not None:
         used["seed"] = arguments.seed
-    inputs = [arguments.input, arguments.velocity_from, arguments.depth_from]
+    others = (arguments.velocity_from, arguments.depth_from, arguments.matte_from)
+    inputs = [arguments.input, *others]
     neighbors = ""
     if loaded.neighbors and chosen.name != PASSED_THROUGH and takes_neighbors(chosen.name):
         near = {side: source.path.name for side, source in loaded.neighbors.items()}
         neighbors = ", ".join(f"{side} {name}" for side, name in near.items())
-    now = set() if chosen.name == PASSED_THROUGH else set(buffers.color_channels)
+    now = (
+        set()
+        if chosen.name == PASSED_THROUGH
+        else {*buffers.color_channels, *buffers.pass_channels}
+    )
     return {
         "jaxblur:version": jaxblur.__version__,
         "jaxblur:filter": chosen.name,
@@ -397,6 +421,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
         BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
         **({NEIGHBORS: neighbors} if neighbors else {}),
+        **({MOTION: loaded.motion} if loaded.motion else {}),
     }
 
 
@@ -405,9 +430,11 @@ def warn_of_double_blur(arguments: argparse.Namespace) -> None:
     from jaxblur import exr
 
     path = arguments.input
-    found = exr.choose_color(exr.inspect(path), arguments.layer, arguments.color_channels)
-    earlier = _blurred_before(path)
-    for name in dict.fromkeys(earlier[name] for name in found.channels if name in earlier):
+    info = exr.inspect(path)
+    found = exr.choose_color(info, arguments.layer, arguments.color_channels)
+    passes = exr.choose_passes(info, found, strength.passes_of(arguments), arguments.layer)
+    earlier, names = _blurred_before(path), (*found.channels, *passes)
+    for name in dict.fromkeys(earlier[name] for name in names if name in earlier):
         LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
 
 

@@ -23,6 +23,13 @@ and, where there is alpha, premultiplied; it is neither clipped nor converted. O
 """
 
 from .._util.errors import JaxblurIOError as JaxblurIOError
+from .cameras import (
+    CameraFile as CameraFile,
+    CameraView as CameraView,
+    has_camera as has_camera,
+    header_camera as header_camera,
+    read_camera_file as read_camera_file,
+)
 from .choose import (
     ColorGroup as ColorGroup,
     borrowed_from as borrowed_from,
@@ -38,6 +45,12 @@ from .color import (
     check_view as check_view,
     conversion_of as conversion_of,
 )
+from .cryptomatte import (
+    CryptomatteLayer as CryptomatteLayer,
+    cryptomatte_layers as cryptomatte_layers,
+    identifier_of as identifier_of,
+    read_cryptomatte as read_cryptomatte,
+)
 from .files import (
     Channel as Channel,
     FileInfo as FileInfo,
@@ -47,6 +60,7 @@ from .files import (
     inspect as inspect,
     read_channels as read_channels,
 )
+from .passes import choose_passes as choose_passes
 from .read import (
     DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,

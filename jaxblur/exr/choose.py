@@ -327,6 +327,22 @@ def is_depth(name: str) -> bool:
     return any(vectors.find_channels(pattern, [name]) for pattern in (*DEPTH_PATTERNS, *ROOT_DEPTH))
 
 
+def color_layers(info: FileInfo, layer: str | None = None) -> list[ColorGroup]:
+    """List all layers that hold red, green and blue, or luminance, but no known motion vectors.
+
+    Args:
+        info: listing of the file.
+        layer: view layer, view or part to look in.
+
+    Returns:
+        The groups, in the order of the file.
+
+    Raises:
+        JaxblurIOError: the file has no such layer.
+    """
+    return _color_groups(_scope(info, layer))
+
+
 def _component(name: str) -> str:
     letter = name.rpartition(".")[2]
     words = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}

@@ -23,6 +23,7 @@ from .choose import (
 )
 from .color import INTEGERS
 from .files import FileInfo, JaxblurIOWarning, inspect, read_channels
+from .passes import Passes, choose_passes
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
@@ -48,6 +49,8 @@ class Buffers:
         valid: (H, W) False where the color is NaN or infinite and is left out, or None if all
             pixels are used.
         ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
+        pass_channels: full names of the channels of further color passes.
+        pass_colors: (H, W, K) their values, or None.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -60,20 +63,29 @@ class Buffers:
     guess: vectors.Guess
     valid: Bool[np.ndarray, "height width"] | None = None
     ignored: Ignored = NONE_IGNORED
+    pass_channels: tuple[str, ...] = ()
+    pass_colors: Float[np.ndarray, "height width channels"] | None = None
 
     def frame(self) -> "Frame":
-        """The buffers as a `jaxblur.Frame` of JAX arrays."""
+        """The buffers as a `jaxblur.Frame` of JAX arrays.
+
+        With further passes the color holds those too, behind the picture, which is the guide.
+        """
         # Imported late, so that listings and path errors do not load jax.
         import jax.numpy as jnp
 
         from jaxblur.frame import Frame
 
+        color, guide = jnp.asarray(self.color), None
+        if self.pass_colors is not None:
+            color, guide = jnp.concatenate([color, jnp.asarray(self.pass_colors)], axis=-1), color
         return Frame(
-            color=jnp.asarray(self.color),
+            color=color,
             depth=jnp.asarray(self.depth),
             velocity=jnp.asarray(self.velocity),
             path=None if self.path is None else jnp.asarray(self.path),
             valid=None if self.valid is None else jnp.asarray(self.valid),
+            guide=guide,
         )
 
 
@@ -90,6 +102,7 @@ class ReadOptions(TypedDict, total=False):
     velocity_channels: Sequence[str] | None
     depth_channel: str | None
     nonfinite: Nonfinite
+    also: Passes
 
 
 def read_frame(
@@ -128,6 +141,7 @@ def read_buffers(
     velocity_channels: Sequence[str] | None = None,
     depth_channel: str | None = None,
     nonfinite: Nonfinite | Literal["keep"] = "error",
+    also: Passes = (),
 ) -> Buffers:
     """Read color, depth and vectors, convert and check them; jax is not loaded.
 
@@ -153,6 +167,9 @@ def read_buffers(
         nonfinite: treatment of NaN and infinity in color or vectors, and of NaN and negative
             infinity in depth: "error", "ignore" (with a warning; see `jaxblur.nonfinite`), or
             "keep" for inspection.
+        also: names or patterns of further color passes, or "all" of them, to be blurred with the
+            picture by the same weights, so that they add up to it as before; see
+            `jaxblur.exr.choose_passes`.
 
     Returns:
         The buffers, all of one size.
@@ -166,6 +183,11 @@ def read_buffers(
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
     color, unknown = _read_color(info, group, nonfinite)
+    passes, extra = choose_passes(info, group, also, layer), None
+    if passes:
+        values = _read_data(info, passes, info, group)
+        extra, lacking = refuse_or_zero(info.path, passes, values, nonfinite)
+        unknown = unknown | lacking
 
     vector_info = inspect(velocity_from) if velocity_from else info
     vector_layer = _layer_in(vector_info, layer, velocity_from)
@@ -195,6 +217,8 @@ def read_buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
         valid=~unknown if unknown.any() else None,
         ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),
+        pass_channels=passes,
+        pass_colors=extra,
     )
 
 

@@ -75,6 +75,54 @@ def turning_sky(frame: Frame) -> Frame:
     return _moved(frame, velocity, empty)
 
 
+@dataclasses.dataclass(frozen=True)
+class CameraFit:
+    """The motion of the camera as the surfaces show it.
+
+    Attributes:
+        velocity: (H, W, 2) half-spread in pixels that the camera gives a scene at rest.
+        agreement: share of the farthest surfaces that move by it, to a quarter of a pixel.
+    """
+
+    velocity: Float[np.ndarray, "height width 2"]
+    agreement: float
+
+
+def fit_camera_velocity(frame: Frame) -> CameraFit:
+    """Find the velocity that the camera gives a scene at rest, from the frame's own velocities.
+
+    The motion field of a rotating and translating camera (see the module) is fitted to the farthest
+    surfaces first, then to all; surfaces that move on their own get a small weight. Where sky has
+    vectors, it counts as a surface, the farthest of all. Runs in NumPy; not differentiable.
+
+    Args:
+        frame: depth (H, W), ``+inf`` for sky; velocity (H, W, 2) half-spread in pixels.
+
+    Returns:
+        The velocity, and how well the far surfaces agree with it: above 0.9 where it is right.
+
+    Raises:
+        ValueError: shapes disagree, or less than a hundred of the pixels that are looked at have
+            vectors.
+    """
+    depth, velocity = np.asarray(frame.depth, float), np.asarray(check_frame(frame).velocity, float)
+    sky = np.isposinf(depth)
+    seen = np.zeros_like(sky)
+    seen[::STEP, ::STEP] = True
+    seen &= ~(sky & ~velocity.any(axis=-1))
+    if seen.sum() < FEWEST:
+        raise ValueError(
+            f"`frame` must show surfaces at {FEWEST} or more of every ninth pixel, got "
+            f"{seen.sum()}."
+        )
+    surfaces = depth[seen & ~sky]
+    unit = np.median(surfaces) if surfaces.size else 1.0
+    basis = _motion_field(np.where(sky, 0, unit / np.where(sky, 1, depth)))
+    far = depth[seen] >= np.sort(depth[seen])[int((1 - FAR) * seen.sum())]
+    unknowns, agreement = _fit(basis[seen], velocity[seen], far)
+    return CameraFit((basis @ unknowns).astype(np.float32), agreement)
+
+
 def _motion_field(
     inverse_depth: Float[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width 2 8"]:

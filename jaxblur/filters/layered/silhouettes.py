@@ -41,7 +41,7 @@ class Buffers(NamedTuple):
     Attributes:
         motion: (H, W, 2) velocity, or (H, W, 4) path.
         depth: (H, W, 1) scene units.
-        color: (H, W, C).
+        color: (H, W, C), the frame's guide where it has one.
         valid: (H, W, 1) 0 where the color is masked, or None.
     """
 
@@ -250,6 +250,8 @@ def motion_of(
     color, valid = lax.stop_gradient(frame.color), None
     if frame.valid is not None:
         color, valid = color[..., :-1], Image(color[..., -1:])
+    if frame.guide is not None:
+        color = lax.stop_gradient(frame.guide)
     images = Buffers(Image(motion), Image(frame.depth), Image(color), valid)
     return each_pixel(
         *(purest_motion, (height, width), images, Limits(separation, coverage), settings),
