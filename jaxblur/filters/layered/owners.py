@@ -165,7 +165,7 @@ def owners_of(
     planes = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
     clock = lax.stop_gradient(clock)
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    images = Drawn(*planes, times)
+    images = Drawn(*planes, times=times)
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, span, drawing),
         apart=intervals + 1,
