@@ -156,7 +156,7 @@ def test_a_rolling_shutter_stretches_what_moves_along_it(readout):
     buffers = (
         np.repeat(inside[..., None], 3, axis=-1).astype(np.float32),
         np.where(inside, 2, 9).astype(np.float32),
-        np.where(inside[..., None], np.float32([0, speed]), np.float32(0)),
+        np.where(inside[..., None], np.array([0, speed], np.float32), np.float32(0)),
     )
     frame = jaxblur.Frame(*map(jnp.asarray, buffers))
     shutter = Shutter(-0.02, 0.02, readout=readout)
