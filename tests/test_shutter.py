@@ -48,10 +48,10 @@ def test_equals_plain_loops(shutter, dtype, curved, options):
         )
         assert actual.dtype == dtype
     path = None if frame.path is None else np.asarray(frame.path)
+    values, options = fields(PARAMETERS), fields(settings)
+    color, depth, velocity = as_arrays(frame)
     expected = layered_loops.layered(
-        *as_arrays(frame),
-        *(fields(PARAMETERS), fields(settings), np.asarray(noise.tap), path),
-        shutter=fields(shutter),
+        *(color, depth, velocity, values, options, np.asarray(noise.tap), path, fields(shutter))
     )
     close = np.isclose(actual, expected, rtol=RELATIVE[dtype], atol=1e-6)
     # In float32 a pixel may be drawn beside its place, and a sample lie in the cell beside its own.
@@ -156,7 +156,7 @@ def test_a_rolling_shutter_stretches_what_moves_along_it(readout):
     buffers = (
         np.repeat(inside[..., None], 3, axis=-1).astype(np.float32),
         np.where(inside, 2, 9).astype(np.float32),
-        np.where(inside[..., None], np.float32([0, speed]), np.float32(0)),
+        np.where(inside[..., None], np.array([0, speed], np.float32), np.float32(0)),
     )
     frame = jaxblur.Frame(*map(jnp.asarray, buffers))
     shutter = Shutter(-0.02, 0.02, readout=readout)

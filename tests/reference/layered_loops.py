@@ -267,8 +267,9 @@ def owners_of(paths, depth, radius, clock):
     return owners
 
 
-def background_of(color, paths, depth, owners, row, column, parameters, clock):
+def background_of(color, paths, depth, owners, place, parameters, clock):
     """What shows where there is no owner: a color times how much of it is known, and that."""
+    row, column = place
     own, z = paths[row, column], depth[row, column]
     missing = [k for k, image in enumerate(owners) if (row, column) not in image]
     total, share = np.zeros(color.shape[2]), 0.0
@@ -280,7 +281,9 @@ def background_of(color, paths, depth, owners, row, column, parameters, clock):
                 total += color[at] / distance**2
                 share += 1 / distance**2
                 break
-    if share == 0 or not any(k in missing and k + 1 in missing for k in range(len(owners) - 1)):
+    exists = [True, *((row, column) in image for image in owners), True]
+    gaps = [k for k in missing if not exists[k] or not exists[k + 2] or k in (0, len(owners) - 1)]
+    if share == 0 or not gaps:
         return np.zeros(color.shape[2]), 0.0
     known = 0.0
     for k in missing:
@@ -315,7 +318,7 @@ def guess(color, paths, depth, owner, at, times, parameters, settings):
 
 def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, clock):
     count, intervals = settings["samples"] // 3, len(owners) - 1
-    behind, known = background_of(color, paths, depth, owners, *at, parameters, clock)
+    behind, known = background_of(color, paths, depth, owners, at, parameters, clock)
     total, weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
         first = int((2 * i + 1) * (intervals / 2) / count)

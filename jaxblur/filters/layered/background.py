@@ -2,8 +2,8 @@
 
 At some (pixel, time) pairs no surface of the frame is in place: what is there was hidden behind
 something that has moved away. (A slice takes the owners before and after it, so that it is filled
-where one of them exists. Only gaps of more than one time are left, and gaps of one, which open
-where a surface stretches, need nothing.) In order of preference, the color is that
+where one of them exists. Gaps of one time within the exposure, which open where a surface
+stretches, need nothing.) In order of preference, the color is that
 
 1. that which the caller gives (`hidden`, for experiments);
 2. mostly that of the nearest surface that a neighbor frame has there;

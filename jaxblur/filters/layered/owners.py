@@ -212,8 +212,9 @@ def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
     ]
     own = Path(*images.paths.here())
     largest = functools.reduce(jnp.maximum, marks)
-    # The larger of two that follow each other: a slice takes the one that exists.
-    pairs = [jnp.maximum(*pair) for pair in itertools.pairwise(marks)]
+    # The larger of two that follow each other: a slice takes the one that exists. None follows at
+    # the ends of the exposure.
+    pairs = [marks[0], marks[-1], *(jnp.maximum(*pair) for pair in itertools.pairwise(marks))]
     misses = moves(own) & (functools.reduce(jnp.minimum, pairs) == 0)
     state = jnp.where(misses, MISSES, jnp.where(moves(own) | (largest > 0), MOVES, RESTS))
     return Outcome((state.astype(own.x.dtype),))
