@@ -33,7 +33,7 @@ from jaxblur.fitting.pairs import make_batches, make_pairs, pixel_weights
 from jaxblur.kernels import places
 
 SCENES = ("camera_dolly", "zoom", "crossing", "cube_between_crates", "gears", "rotor_over_city")
-SIZE, SHUTTER, TRUTH_SAMPLES = (90, 160), 1.5, 64
+SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 1.5, 48
 FREE = {
     "guertin2014": ("gamma", "phi", "depth_sharpness"),
     "layered": ("jitter", "distinct", "front_sharpness"),
@@ -138,7 +138,7 @@ def main() -> None:
         return
     parser = common.output_parser("What fits gain from right derivatives.")
     parser.add_argument("--filters", default=",".join(FREE), metavar="NAME,...")
-    parser.add_argument("--steps", type=int, default=40)
+    parser.add_argument("--steps", type=int, default=20)
     options = parser.parse_args()
     rows: list[Any] = []
     values: list[Any] = []

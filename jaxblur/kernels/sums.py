@@ -182,8 +182,10 @@ def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
 def _types(
     sample: Sample, kinds: tuple[Kind, ...], locals_: int, sizes: int, _x64: bool
 ) -> tuple[Any, ...]:
-    """Types of the terms, from one evaluation on scalars: that on planes takes several times as
-    long to trace, and a derivative asks for them often."""
+    """Types of the terms, from one evaluation on scalars.
+
+    One on planes takes several times as long to trace, and a derivative asks for them often.
+    """
     index = jax.ShapeDtypeStruct((), jnp.int32)
     local = [
         tuple(jax.ShapeDtypeStruct((), kind.dtype) for _ in range(max(kind.channels, 1)))

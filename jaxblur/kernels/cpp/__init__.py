@@ -150,8 +150,10 @@ def _build(
     backend: str,
     element: Any = np.float32,
 ) -> Call | None:
-    """Compile the kernel that `emit` prints, whose tables have these lengths; not printed where a
-    former run has done so under the same key."""
+    """Compile the kernel that `emit` prints, whose tables have these lengths.
+
+    Where a former run has done so under the same key, it is not printed again.
+    """
     if backend == "xla":
         return None
     if find_compiler() is None:
