@@ -267,7 +267,8 @@ def read_result(folder: pathlib.Path) -> Result:
 
     Raises:
         JaxblurIOError: there is no manifest, it has another schema, a key is missing or has a value
-            of another type, there is no shot, or a picture is missing, damaged, or not the one that was written.
+            of another type, there is no shot, or a picture is missing, damaged, or not the one that
+            was written.
     """
     path = pathlib.Path(folder) / MANIFEST
     if not path.is_file():
