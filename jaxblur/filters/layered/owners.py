@@ -128,8 +128,11 @@ def draw_pixel(at: At, images: Drawn, _: None, drawing: Drawing) -> Outcome:
     height, width = images.x.height, images.x.width
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
-        x, y = path.at(time_of(k, drawing.intervals, path.x))
-        right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in (x, y))
+        # A vector that is NaN does not move, and leads to no place that an integer holds.
+        ends = (
+            jnp.where(moves(path), part, 0) for part in path.at(time_of(k, drawing.intervals, x))
+        )
+        right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in ends)
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         place = (k * height + jnp.where(inside, row, 0)) * width + jnp.where(inside, column, 0)
