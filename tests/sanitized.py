@@ -1,6 +1,7 @@
 """Programs for kernels compiled with sanitizers; see tests/test_sanitizers.py.
 
 python -m tests.sanitized FILTER       every kernel of a filter on frames of odd sizes
+python -m tests.sanitized neighbors    layered with neighbors, and fast or infinite motion
 python -m tests.sanitized read-past-the-end | overflow | nothing    one small kernel
 """
 
@@ -36,6 +37,22 @@ def run_filter(name: str) -> None:
             print(name, fetch, size)
 
 
+def run_neighbors() -> None:
+    """Values of layered where it reads most; each size has motion that leads out of the image."""
+    for size in SIZES:
+        frame = make_frame(size)
+        velocity = 1e4 * frame.velocity
+        fast = frame.replace(velocity=velocity.at[0, 0].set(jnp.array([jnp.inf, jnp.nan])))
+        frame = frame.replace(valid=jnp.ones(size, bool).at[0, 0].set(False))
+        settings = jaxblur.Settings(samples=9, radius=40, fetch="bilinear", backend="native")
+        parameters = jaxblur.LayeredParameters()
+        blurred = jaxblur.layered(frame, parameters, settings=settings, before=fast, after=frame)
+        assert np.isfinite(blurred).all(), size
+        blurred = jaxblur.layered(fast, parameters, settings=settings)
+        assert np.isfinite(blurred).all(), size
+        print("neighbors", size)
+
+
 def run_small(places: int, factor: int) -> None:
     """A kernel that reads a table of 19 elements ``places`` after the pixel's own place."""
     images = Planes(*(Image(jnp.ones((1, 19, 1))) for _ in range(2)))
@@ -55,5 +72,7 @@ SMALL = {"read-past-the-end": (1, 1), "overflow": (0, 2**30), "nothing": (0, 1)}
 if __name__ == "__main__":
     if sys.argv[1] in jaxblur.FILTERS:
         run_filter(sys.argv[1])
+    elif sys.argv[1] == "neighbors":
+        run_neighbors()
     else:
         run_small(*SMALL[sys.argv[1]])

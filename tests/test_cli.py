@@ -192,6 +192,24 @@ def test_signals_end_a_running_process(tmp_path, sent, status, started_by):
     assert list(tmp_path.iterdir()) == []
 
 
+IMPORTED = """
+import runpy, sys
+
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == "jaxblur.cli.vectors":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupted())
+runpy.run_module("jaxblur", run_name="__main__")
+"""
+
+
+def test_an_interruption_while_the_command_is_imported_is_quiet():
+    done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_an_interruption_waits_until_modules_are_loaded(sent):
     loaded = []

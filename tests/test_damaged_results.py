@@ -227,6 +227,7 @@ def set_picture(key, value):
         (set_picture("milliseconds", -1), "milliseconds"),
         (set_picture("milliseconds", int(LONG)), "milliseconds"),
         (set_picture("file", "a\0b"), "file"),
+        (lambda content: content.update(shots=[]), "'shots' is empty"),
     ],
 )
 def test_a_damaged_manifest_names_the_file(folder, edit, word, tmp_path):

@@ -238,6 +238,15 @@ def test_an_element_with_alpha_blurs_without_a_frozen_outline(name, samples, mos
     np.testing.assert_allclose(blurred[..., 0], 0.8 * blurred[..., 3], atol=1e-5)
 
 
+def test_an_infinite_velocity_is_a_long_one():
+    motion = np.zeros((5, 5, 2), np.float32)
+    motion[2, 2] = np.inf, -2
+    motion[0, 0, 1] = -np.inf
+    x, y = pure_velocity(motion, np.zeros((5, 5), np.float32), 0.5)
+    np.testing.assert_allclose([x[2, 2], y[0, 0]], [160, -160], rtol=1e-6)
+    assert np.isfinite(x).all() and np.isfinite(y).all()
+
+
 @pytest.mark.parametrize("unknown", [np.s_[0, 0], np.s_[-1, -1], np.s_[:20]])
 def test_vectors_that_are_nan_do_not_leave_the_frame_sharp(unknown):
     generator = np.random.default_rng(0)

@@ -88,7 +88,8 @@ def test_a_wrong_kernel_is_reported(sanitized, program, report):
 
 
 def test_native_code_does_nothing_undefined(sanitized):
-    jobs = {name: ("-m", "tests.sanitized", name) for name in sorted(jaxblur.FILTERS)}
+    programs = (*sorted(jaxblur.FILTERS), "neighbors")
+    jobs = {name: ("-m", "tests.sanitized", name) for name in programs}
     pytest_ = ("-m", "pytest", "-s", "-q", "-p", "no:cacheprovider")
     jobs |= {file: (*pytest_, file, "-k", which) for file, which in TESTS.items()}
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
@@ -98,4 +99,5 @@ def test_native_code_does_nothing_undefined(sanitized):
     wrong = [f"{name}:\n{one.stdout}" for name, one in done.items() if one.returncode]
     assert not wrong, "\n\n".join(wrong)
     assert all(done[name].stdout.count("(5, 17)") == 2 for name in jaxblur.FILTERS)
+    assert done["neighbors"].stdout.count("(5, 17)") == 1
     assert all(" passed" in done[file].stdout for file in TESTS)

@@ -8,4 +8,8 @@ the output went away. Results go to stdout, everything else to stderr. Nothing h
 before the arguments and the input files have been checked.
 """
 
-from .main import main as main
+try:
+    from .main import main as main
+except KeyboardInterrupt:
+    # Ctrl-C before the command can answer it. A user sees a program that ends, not its imports.
+    raise SystemExit(130) from None

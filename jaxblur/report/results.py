@@ -267,7 +267,8 @@ def read_result(folder: pathlib.Path) -> Result:
 
     Raises:
         JaxblurIOError: there is no manifest, it has another schema, a key is missing or has a value
-            of another type, or a picture is missing, damaged, or not the one that was written.
+            of another type, there is no shot, or a picture is missing, damaged, or not the one that
+            was written.
     """
     path = pathlib.Path(folder) / MANIFEST
     if not path.is_file():
@@ -284,6 +285,8 @@ def read_result(folder: pathlib.Path) -> Result:
             path, f"'schema' must be {SCHEMA}, got {found!r}; use the version that wrote it."
         )
     read = _Reader(path)
+    if not read.value(content, "shots", list):
+        raise JaxblurIOError(path, "'shots' is empty; write the result again.")
     return Result(
         title=read.value(content, "title", str),
         shots=[read.shot(entry) for entry in read.value(content, "shots", list)],

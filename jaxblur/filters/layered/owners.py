@@ -132,7 +132,9 @@ def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Ou
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
         clock = images.times, span
-        x, y = path.at(time_when_drawn(k, drawing.intervals, path, at.row, *clock))
+        place = path.at(time_when_drawn(k, drawing.intervals, path, at.row, *clock))
+        # A vector that is NaN does not move, and leads to no place that an integer holds.
+        x, y = (jnp.where(moves(path), part, 0) for part in place)
         right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in (x, y))
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
