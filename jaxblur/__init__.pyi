@@ -72,7 +72,7 @@ from .vectors.encoding import (
 )
 from .vectors.sky import (
     CameraFit as CameraFit,
-    fit_camera_velocity as fit_camera_velocity,
+    fit_camera_motion as fit_camera_motion,
     turning_sky as turning_sky,
 )
 

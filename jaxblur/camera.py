@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
 """The motion that a moving camera gives a static scene, differentiable in camera and depth.
 
 Camera space has x right, y down and z forward, so that its x and y have the signs of the image. A
@@ -269,11 +269,12 @@ def path_between_cameras(
 ) -> Float[Array, "height width 2 2"]:
     """Displacement of a static scene at opening and closing, from cameras of three frames.
 
-    At the time t after the frame, in frames, the camera has gone the share ``|t|`` of the way to
-    the next frame's, or to the frame's before: its center and its intrinsics on a straight line,
-    its turn at a constant rate about one axis (slerp). Points at infinity move by the turn alone. A
-    point that would come nearer to the camera than a twentieth of its depth is treated as if it
-    stayed there.
+    With one move m the camera has gone ``t m`` at the time t after the frame, in frames: its center
+    and its intrinsics on a straight line, its turn at a constant rate about one axis (slerp). With
+    two, b to the frame before and a to the one after, it has gone ``t (a - b) / 2 + t^2 (a + b) /
+    2``, which passes through both cameras without a jump of its velocity, and is the same where
+    that is constant. Points at infinity move by the turn alone. A point that would come nearer to
+    the camera than a twentieth of its depth is treated as if it stayed there.
 
     Args:
         depth: (H, W) positive planar depth, ``+inf`` for sky.
@@ -321,24 +322,32 @@ def _path_between(
     inverse = (1 / depth)[..., None]
     focal = jnp.stack([intrinsics.focal_x, intrinsics.focal_y])
 
-    def displacement(move: CameraMove, time: Float[Array, ""]) -> Float[Array, "height width 2"]:
-        turn, _ = _change(jnp.concatenate([-time * move.rotation, jnp.zeros(3, depth.dtype)]))
-        travel = time * move.translation
+    first, last = (None if move is None else _changes(intrinsics, move) for move in (before, after))
+    if first is None or last is None:
+        # A side without a camera of its own: the other one, backwards.
+        known = last if first is None else jax.tree.map(jnp.negative, first)
+        rate, growth = known, jax.tree.map(jnp.zeros_like, known)
+    else:
+        rate = jax.tree.map(lambda a, b: (b - a) / 2, first, last)
+        growth = jax.tree.map(lambda a, b: (b + a) / 2, first, last)
+
+    def displacement(time: Float[Array, ""]) -> Float[Array, "height width 2"]:
+        move = jax.tree.map(lambda a, b: time * a + time * time * b, rate, growth)
+        turn, _ = _change(jnp.concatenate([-move.rotation, jnp.zeros(3, depth.dtype)]))
+        travel = move.translation
         shift = ray @ turn.T - inverse * (travel + turn @ travel)
         ahead = shift[..., 2:]
         place = (shift[..., :2] - ray[..., :2] * ahead) / jnp.maximum(1 + ahead, NEAREST)
-        zoom = [time * (b - a) for a, b in zip(intrinsics, move.intrinsics, strict=True)]
-        wider, aside = jnp.stack(zoom[:2]), jnp.stack(zoom[2:])
+        wider, aside = jnp.stack(move.intrinsics[:2]), jnp.stack(move.intrinsics[2:])
         return focal * place + wider * (ray[..., :2] + place) + aside
 
-    # A side without a camera of its own: the other one, backwards.
-    sides = [(before, 1), (after, 1)]
-    if before is None:
-        sides[0] = (after, -1)
-    if after is None:
-        sides[1] = (before, -1)
-    ends = [displacement(move, sign * shutter / 2) for move, sign in sides if move is not None]
-    return jnp.stack(ends, axis=-2)
+    return jnp.stack([displacement(side * shutter / 2) for side in (-1, 1)], axis=-2)
+
+
+def _changes(intrinsics: Intrinsics, move: CameraMove) -> CameraMove:
+    """The move with the changes of the intrinsics in their place."""
+    changes = (b - a for a, b in zip(intrinsics, move.intrinsics, strict=True))
+    return move._replace(intrinsics=Intrinsics(*changes))
 
 
 def _rays(

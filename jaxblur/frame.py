@@ -268,7 +268,8 @@ def check_frame(frame: Frame) -> Frame:
     size = color.shape[:2]
     expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2), "valid": size}
     if "guide" in buffers:
-        expected["guide"] = (*size, *buffers["guide"].shape[-1:])
+        # Any number of channels will do.
+        expected["guide"] = (*size, buffers["guide"].shape[-1] if buffers["guide"].ndim == 3 else 3)
     for name, shape in expected.items():
         if name in buffers and buffers[name].shape != shape:
             raise ValueError(

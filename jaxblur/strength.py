@@ -150,7 +150,7 @@ def split_motion(frame: Frame, camera: ArrayLike) -> SplitMotion:
     Args:
         frame: as `scale_motion`.
         camera: the motion that the camera gives a scene at rest, as `camera_path`,
-            `path_between_cameras` or `fit_camera_velocity` give it: half-spread (H, W, 2), or
+            `path_between_cameras` or `fit_camera_motion` give it: half-spread (H, W, 2), or
             displacement at opening and closing (H, W, 2, 2).
 
     Returns:

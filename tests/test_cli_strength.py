@@ -111,6 +111,8 @@ def test_a_thing_outside_the_frame_covers_nothing(tmp_path):
         ("/hero", {"hash": "MD5"}, "hash MD5 with uint32_to_float32 is not known"),
         ("/hero", {"name": "Other"}, r"there are no channels Other00\.R"),
         ("/hero", {"manifest": "{"}, "damaged manifest"),
+        ("/hero", {"manifest": '{"/hero": "123456789"}'}, "more than 32 bits"),
+        ("/hero", {"manifest": '{"/hero": 1}'}, "damaged manifest"),
     ],
 )
 def test_wrong_cryptomattes(tmp_path, name, notes, match):

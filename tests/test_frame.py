@@ -20,6 +20,15 @@ def test_replace_changes_buffers_and_nothing_else():
         frame.replace(depht=frame.depth)
 
 
+def test_a_guide_has_any_number_of_channels():
+    frame = random_frame((4, 5))
+    guided = frame.replace(guide=jnp.ones((4, 5, 7)))
+    np.testing.assert_array_equal(jaxblur.pixel_velocity(guided), jaxblur.pixel_velocity(frame))
+    for shape in ((4, 5), (3, 5, 2)):
+        with pytest.raises(ValueError, match=r"`frame.guide` must have shape \(4, 5, "):
+            jaxblur.pixel_velocity(frame.replace(guide=jnp.ones(shape)))
+
+
 def test_the_text_of_a_frame_is_short():
     frame = jaxblur.Frame(
         np.full((2, 3, 3), 0.5, np.float32),

@@ -186,6 +186,27 @@ def test_masked_colors_do_not_tell_of_which_surface_a_pixel_is():
     assert np.all(motion_of(black, *limits)[1:-1, 38, 0] == 8)
 
 
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_guide_tells_of_which_surface_a_pixel_is(masked):
+    # The column beside the block has half of its color.
+    frame = block_over_wall()
+    half = (frame.color[:, 36] + frame.color[:, 60]) / 2
+    frame = frame.replace(color=frame.color.at[:, 38].set(half))
+    limits = jnp.float32(20), jnp.float32(0.5), jaxblur.Settings(radius=160)
+    if masked:
+        frame = frame.replace(valid=jnp.ones((16, 64), bool))
+
+    def motion(frame):
+        return motion_of(
+            append_mask(frame).replace(valid=frame.valid) if masked else frame, *limits
+        )
+
+    flat = frame.replace(color=jnp.ones((16, 64, 1)))
+    beauty = frame.color
+    np.testing.assert_array_equal(motion(flat.replace(guide=beauty)), motion(frame))
+    assert np.any(motion(flat) != motion(frame))
+
+
 def test_mixed_vectors_at_a_silhouette_take_the_side_that_they_are_on():
     motion = np.zeros((8, 8, 2), np.float32)
     motion[:, :4, 1] = 6

@@ -222,12 +222,19 @@ def test_paths_between_cameras_follow_slerp_and_lerp():
     depth = np.random.default_rng(0).uniform(4, 30, (60, 96))
     depth[:9] = np.inf
     wider = jaxblur.Intrinsics(*(1.25 * np.array([90.0, 90.0])), 48.0, 30.0)
-    before = jaxblur.CameraMove(-0.5 * TURN, -WAY, INTRINSICS)
     after = jaxblur.CameraMove(TURN, 0.5 * WAY, wider)
-    path = jaxblur.path_between_cameras(depth, INTRINSICS, before=before, after=after, shutter=0.8)
-    np.testing.assert_allclose(path[..., 0, :], seen(depth, -0.2 * TURN, -0.4 * WAY), atol=2e-3)
+    path = jaxblur.path_between_cameras(depth, INTRINSICS, after=after, shutter=0.8)
     expected = seen(depth, 0.4 * TURN, 0.2 * WAY, zoom=1.1)
     np.testing.assert_allclose(path[..., 1, :], expected, atol=2e-3)
+    # With two, the rate changes: at -0.4 it is -0.4 (1 + 0.5)/2 + 0.16 (1 - 0.5)/2 of the turn.
+    before = jaxblur.CameraMove(-0.5 * TURN, -WAY, INTRINSICS)
+    path = jaxblur.path_between_cameras(depth, INTRINSICS, before=before, after=after, shutter=0.8)
+    earlier = seen(depth, -0.26 * TURN, -0.34 * WAY, zoom=1 - 0.25 * 0.12)
+    np.testing.assert_allclose(path[..., 0, :], earlier, atol=2e-3)
+    later = seen(depth, 0.34 * TURN, 0.26 * WAY, zoom=1 + 0.25 * 0.28)
+    np.testing.assert_allclose(path[..., 1, :], later, atol=2e-3)
+    whole = jaxblur.path_between_cameras(depth, INTRINSICS, before=before, after=after, shutter=2.0)
+    np.testing.assert_allclose(whole[..., 0, :], seen(depth, -0.5 * TURN, -WAY), atol=3e-3)
 
 
 def test_a_side_without_a_camera_is_the_other_one_backwards():
@@ -264,12 +271,20 @@ def test_the_motion_of_the_camera_is_fitted_behind_objects():
     velocity = camera.copy()
     velocity[20:50, 60:75] += (12.0, 3.0)
     frame = jaxblur.Frame(np.ones((60, 96, 3)), depth, velocity)
-    fit = jaxblur.fit_camera_velocity(frame)
+    fit = jaxblur.fit_camera_motion(frame)
     assert fit.agreement > 0.95
     error = np.linalg.norm(fit.velocity - camera, axis=-1)
     assert np.linalg.norm(camera, axis=-1).mean() > 3
     assert error.max() < 0.3 and error.mean() < 0.1
     objects = np.linalg.norm(jaxblur.without_camera(frame, fit.velocity).velocity, axis=-1)
     assert objects[30, 65] > 11 and np.median(objects) < 0.1
+    assert fit.path is None and fit.motion is fit.velocity
+    ends = [seen(depth, side * turn, side * way) for side in (-1, 1)]
+    # Curved: the camera turns.
+    curved = jaxblur.fit_camera_motion(frame.replace(path=np.stack(ends, axis=2)))
+    assert curved.path is not None and curved.motion is curved.path
+    bend = np.linalg.norm(ends[0] + ends[1], axis=-1) / 2
+    left = np.linalg.norm(curved.path[:, :, 0] + curved.path[:, :, 1] - ends[0] - ends[1], axis=-1)
+    assert left.mean() / 2 < 0.2 * bend.mean()
     with pytest.raises(ValueError, match="100 or more"):
-        jaxblur.fit_camera_velocity(make_frame())
+        jaxblur.fit_camera_motion(make_frame())

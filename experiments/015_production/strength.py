@@ -2,7 +2,7 @@
 
     python -m experiments.015_production.strength -o OUT [--reference-data DIR] [--quick]
 
-Writes strength.md (numbers against truth) and pictures; each picture's command is printed. With
+Writes camera.md (numbers against truth) and pictures; each picture's command is printed. With
 ``--reference-data``, the folder of rendered scenes of `experiments/blender`, also camera.png and
 limit.png.
 """
@@ -63,7 +63,7 @@ def main() -> None:
     size, samples = (QUICK_SIZE, QUICK_SAMPLES) if arguments.quick else (SIZE, SAMPLES)
     names = SCENES[:1] if arguments.quick else SCENES
     rows = [row for name in names for row in camera_rows(arguments.output, name, size, samples)]
-    table(arguments.output / "strength.md", rows)
+    table(arguments.output / "camera.md", rows)
     things(arguments.output, size)
     sprites(arguments.output, size)
     passes(arguments.output, size)
@@ -191,7 +191,8 @@ def sprites(folder: Path, size: tuple[int, int]) -> None:
     hot, cloaked = haze(frame), cloak(frame)
     parameters, settings = jaxblur.GuertinParameters(), jaxblur.GuertinSettings(samples=105)
     blurred = [jaxblur.guertin2014(each, parameters, settings=settings) for each in (hot, cloaked)]
-    save(folder / "sprites.png", [[frame.color, *blurred]])
+    still, *smeared = (image[:, size[1] // 6 : -size[1] // 6] for image in (frame.color, *blurred))
+    save(folder / "sprites.png", [[still, *smeared]])
 
 
 def _grid(frame: jaxblur.Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -207,8 +208,8 @@ def haze(frame: jaxblur.Frame) -> jaxblur.Frame:
     height = frame.depth.shape[0]
     column = np.exp(-((x / 0.3) ** 4))
     puffs = np.clip(np.sin(30 * y + 5 * np.sin(9 * x)) * np.sin(17 * x + 4 * np.sin(12 * y)), 0, 1)
-    sway = 0.012 * height * np.sin(25 * y + 7 * x)
-    rise = np.full_like(sway, -0.022 * height)
+    sway = 0.02 * height * np.sin(25 * y + 7 * x)
+    rise = np.full_like(sway, -0.035 * height)
     return jaxblur.add_velocity(frame, np.stack([sway, rise], axis=-1), column * puffs)
 
 
@@ -218,7 +219,7 @@ def cloak(frame: jaxblur.Frame) -> jaxblur.Frame:
     height, radius = frame.depth.shape[0], 0.3
     inside = np.clip((radius - np.hypot(x, y)) * height + 0.5, 0, 1)
     across = np.stack([-y, x], axis=-1) / radius
-    return jaxblur.add_velocity(frame, 0.04 * height * across, inside)
+    return jaxblur.add_velocity(frame, 0.08 * height * across, inside)
 
 
 def passes(folder: Path, size: tuple[int, int]) -> None:

@@ -228,21 +228,21 @@ def _with_camera(arguments: argparse.Namespace, buffers: Any, frame: Any) -> tup
     import jaxblur
 
     share = None if arguments.camera_only else float(arguments.camera_motion or 0)
-    found = _matrices(arguments, buffers)
+    found, moved = _matrices(arguments, buffers), None
     if found is not None:
         said, move = found
         whole = move(arguments.shutter)
         _compare(arguments, frame, np.asarray(whole))
-        part = whole if share is None else move(share * arguments.shutter)
+        if share is not None:
+            moved = jaxblur.replace_camera_motion(frame, whole, move(share * arguments.shutter))
     else:
-        whole = _fitted(arguments, frame)
-        said = "fitted"
-        part = whole if share is None else share * whole
-    if share is None:
+        said, whole = "fitted", _fitted(arguments, frame)
+        if share is not None:
+            moved = jaxblur.without_camera(frame, whole, share)
+    if moved is None:
         moved, what = jaxblur.split_motion(frame, whole).camera, "camera only"
     else:
-        moved = jaxblur.replace_camera_motion(frame, whole, part)
-        what = "objects only" if share == 0 else f"camera times {share:g}"
+        what = f"camera times {share:g}" if share else "objects only"
     # Sky without vectors stays at rest: nothing is to be taken from it.
     rests = np.isposinf(buffers.depth) & ~buffers.velocity.any(axis=-1)
     if rests.any():
@@ -260,12 +260,12 @@ def _with_camera(arguments: argparse.Namespace, buffers: Any, frame: Any) -> tup
 
 
 def _fitted(arguments: argparse.Namespace, frame: Any) -> Any:
-    """The velocity of the camera by the vectors of the frame."""
+    """The motion of the camera by the vectors of the frame."""
     import jaxblur
 
     remedy = "give the cameras with --camera FILE.json"
     try:
-        fit = jaxblur.fit_camera_velocity(frame)
+        fit = jaxblur.fit_camera_motion(frame)
     except ValueError as error:
         raise CommandError(
             f"{arguments.input}: the camera's motion cannot be fitted: too few pixels have "
@@ -276,7 +276,7 @@ def _fitted(arguments: argparse.Namespace, frame: Any) -> Any:
             f"{arguments.input}: the camera's motion cannot be fitted: only "
             f"{100 * fit.agreement:.0f} % of the far surfaces move as one; {remedy}."
         )
-    return fit.velocity
+    return fit.motion
 
 
 def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:

@@ -178,7 +178,8 @@ def read_camera_file(path: PathLike) -> CameraFile:
     shared = {key: value for key, value in content.items() if key not in ("axes", "frames")}
     frames: dict[int, dict[str, Any]] = {}
     for number, fields in content["frames"].items():
-        if not number.removeprefix("-").isdigit() or not isinstance(fields, dict):
+        digits = number.removeprefix("-")
+        if not (digits.isascii() and digits.isdigit()) or not isinstance(fields, dict):
             raise JaxblurIOError(path, f"frames: {number!r} must be a whole number and an object.")
         frames[int(number)] = _checked_fields(path, number, {**shared, **fields})
     return CameraFile(str(path), frames, AXES[axes])

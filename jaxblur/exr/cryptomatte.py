@@ -213,11 +213,18 @@ def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str,
         return {}
     try:
         listed: Any = json.loads(text)
-        return {str(key): int(value, 16) for key, value in listed.items()}
+        return {str(key): _identifier(value) for key, value in listed.items()}
     except (ValueError, AttributeError, TypeError) as error:
         raise JaxblurIOError(
             info.path, f"Cryptomatte {name}: damaged manifest ({error}); render again."
         ) from error
+
+
+def _identifier(text: str) -> int:
+    value = int(text, 16)
+    if not 0 <= value < 1 << 32:
+        raise ValueError(f"{text!r} has more than 32 bits")
+    return value
 
 
 def _names_of(layer: CryptomatteLayer) -> tuple[str, str]:

@@ -185,7 +185,8 @@ def read_buffers(
     color, unknown = _read_color(info, group, nonfinite)
     passes, extra = choose_passes(info, group, also, layer), None
     if passes:
-        values = _read_data(info, passes, info, group)
+        values = read_channels(info.path, passes)
+        _check_window(info, passes, info, group)
         extra, lacking = refuse_or_zero(info.path, passes, values, nonfinite)
         unknown = unknown | lacking
 
@@ -358,6 +359,15 @@ def _read_data(
 ) -> np.ndarray:
     """Read vectors or depth, and check that their data window is that of the color."""
     values = read_channels(data.path, names)
+    _check_window(data, names, picture, group)
+    for name in names:
+        warn_lossy(data, data.channel(name))
+    return values
+
+
+def _check_window(
+    data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
+) -> None:
     window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
     if window != wanted:
         raise JaxblurIOError(
@@ -365,9 +375,6 @@ def _read_data(
             f"{', '.join(names)}: pixels {window}, but the color of {picture.path} has {wanted}; "
             "render them with the same data window.",
         )
-    for name in names:
-        warn_lossy(data, data.channel(name))
-    return values
 
 
 def _window(info: FileInfo, channel: str) -> str:

@@ -81,25 +81,36 @@ class CameraFit:
 
     Attributes:
         velocity: (H, W, 2) half-spread in pixels that the camera gives a scene at rest.
-        agreement: share of the farthest surfaces that move by it, to a quarter of a pixel.
+        path: (H, W, 2, 2) likewise the displacement at opening and closing, or None for a frame
+            without paths.
+        agreement: share of the farthest surfaces that move by the velocity, to a quarter of a
+            pixel.
     """
 
     velocity: Float[np.ndarray, "height width 2"]
+    path: Float[np.ndarray, "height width 2 2"] | None
     agreement: float
 
+    @property
+    def motion(self) -> Float[np.ndarray, "height width ..."]:
+        """The path, or the velocity where there is none, as `jaxblur.split_motion` takes it."""
+        return self.velocity if self.path is None else self.path
 
-def fit_camera_velocity(frame: Frame) -> CameraFit:
-    """Find the velocity that the camera gives a scene at rest, from the frame's own velocities.
+
+def fit_camera_motion(frame: Frame) -> CameraFit:
+    """Find the motion that the camera gives a scene at rest, from the frame's own motion.
 
     The motion field of a rotating and translating camera (see the module) is fitted to the farthest
     surfaces first, then to all; surfaces that move on their own get a small weight. Where sky has
-    vectors, it counts as a surface, the farthest of all. Runs in NumPy; not differentiable.
+    vectors, it counts as a surface, the farthest of all. A path is fitted at opening and closing
+    apart, so that its bend is found too. Runs in NumPy; not differentiable.
 
     Args:
-        frame: depth (H, W), ``+inf`` for sky; velocity (H, W, 2) half-spread in pixels.
+        frame: depth (H, W), ``+inf`` for sky; velocity (H, W, 2) half-spread in pixels, and perhaps
+            a path.
 
     Returns:
-        The velocity, and how well the far surfaces agree with it: above 0.9 where it is right.
+        The motion, and how well the far surfaces agree with it: above 0.9 where it is right.
 
     Raises:
         ValueError: shapes disagree, or less than a hundred of the pixels that are looked at have
@@ -119,8 +130,16 @@ def fit_camera_velocity(frame: Frame) -> CameraFit:
     unit = np.median(surfaces) if surfaces.size else 1.0
     basis = _motion_field(np.where(sky, 0, unit / np.where(sky, 1, depth)))
     far = depth[seen] >= np.sort(depth[seen])[int((1 - FAR) * seen.sum())]
-    unknowns, agreement = _fit(basis[seen], velocity[seen], far)
-    return CameraFit((basis @ unknowns).astype(np.float32), agreement)
+
+    def fitted(motion: np.ndarray) -> tuple[np.ndarray, float]:
+        unknowns, agreement = _fit(basis[seen], motion[seen], far)
+        return (basis @ unknowns).astype(np.float32), agreement
+
+    fit, agreement = fitted(velocity)
+    if frame.path is None:
+        return CameraFit(fit, None, agreement)
+    ends = [fitted(np.asarray(frame.path[..., side, :], float))[0] for side in (0, 1)]
+    return CameraFit(fit, np.stack(ends, axis=-2), agreement)
 
 
 def _motion_field(
