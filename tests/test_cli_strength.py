@@ -491,7 +491,6 @@ def sum_of_passes(path, letters):
 @pytest.mark.parametrize(
     ("filter", "letters", "option"),
     [
-        ("layered", "Y", ("--all-color",)),
         ("guertin2014", "Y", ("--also", "diffuse,SPEC*,emission")),
         # Compiles native code for thirteen channels.
         pytest.param("layered", "RGB", ("--all-color",), marks=pytest.mark.slow),
