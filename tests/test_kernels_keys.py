@@ -50,7 +50,7 @@ def test_a_key_is_that_of_another_process():
 
 
 def test_programs_that_differ_have_keys_that_differ():
-    array, other = np.float32([1, 2]), np.float32([1, 3])
+    array, other = (np.array(values, np.float32) for values in ([1, 2], [1, 3]))
     keys = [
         key_of_scaled(0.5),
         key_of_scaled(np.nextafter(np.float32(0.5), np.float32(1)).item()),
