@@ -127,7 +127,7 @@ CASES = [
     *(("guertin2014", scene) for scene in (*RENDERED, "crossing")),
 ]
 """Not here, since they fail: guertin2014 on gears (1.38 to 1.53), and mcguire2012. Experiment 013
-has the numbers and what is known of them."""
+has the ratios, and the causes as far as they are known."""
 
 
 @pytest.mark.slow

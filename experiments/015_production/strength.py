@@ -229,7 +229,7 @@ def passes(folder: Path, size: tuple[int, int]) -> None:
     exr.write_frame(source, scenes.render(scene, 0.0, SHUTTER, size, path=True), SHUTTER)
     names = exr.inspect(source).channel_names
     channels = dict(zip(names, np.moveaxis(exr.read_channels(source, names), -1, 0), strict=True))
-    # A split that has edges of its own: bright parts, and what is left of them by color.
+    # Two passes that add up to the picture, and whose edges are not those of the objects.
     for letter in "RGB":
         beauty = channels[letter].astype(np.float32)
         bright = np.maximum(beauty - 0.4, 0)

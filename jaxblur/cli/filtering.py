@@ -3,7 +3,7 @@
 import argparse
 import dataclasses
 import pathlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
@@ -354,11 +354,7 @@ def require_neighbors(name: str, option: str) -> None:
     Raises:
         CommandError: the filter takes none; the message names those that do.
     """
-    if not takes_neighbors(name):
-        able = " or ".join(filter(takes_neighbors, names()))
-        raise CommandError(
-            f"{option}: {name} takes no neighbor frames; leave it out, or pass --filter {able}."
-        )
+    _require(name, takes_neighbors, f"{option}: {name} takes no neighbor frames")
 
 
 def takes_shutter(name: str) -> bool:
@@ -376,12 +372,14 @@ def require_shutter(name: str, option: str) -> None:
     Raises:
         CommandError: the filter takes none; the message names those that do.
     """
-    if not takes_shutter(name):
-        able = " or ".join(filter(takes_shutter, names()))
-        raise CommandError(
-            f"{option}: {name} knows only a box centered on the frame, whose length --shutter "
-            f"gives; leave it out, or pass --filter {able}."
-        )
+    lacks = f"{option}: {name} knows only a box centered on the frame, whose length --shutter gives"
+    _require(name, takes_shutter, lacks)
+
+
+def _require(name: str, takes: Callable[[str], bool], lacks: str) -> None:
+    if not takes(name):
+        able = " or ".join(filter(takes, names()))
+        raise CommandError(f"{lacks}; leave it out, or pass --filter {able}.")
 
 
 def _radius(text: str) -> int | None:

@@ -11,7 +11,8 @@ from .registry import FilterInfo, register
 LAYERED_SLICE = 3
 """Samples that a time slice of layered takes: two guesses, and the search for what is in front."""
 LAYERED_RADIUS = 4095
-"""Largest radius of layered: a farther place leaves no room for depth in what it keeps of it."""
+"""Largest radius of layered. A mark holds an offset and a depth in 31 bits; a larger offset would
+leave too few for the depth."""
 _HALF_A_SPACING = 0.5
 """Largest jitter of the taps, in spacings, of the filters without a parameter for it."""
 

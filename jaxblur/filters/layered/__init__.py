@@ -1,8 +1,8 @@
 """The layered filter: motion blur by slices of time."""
 
-from .layers import Layer as Layer, blur_layers as blur_layers
-from .slices import (
+from .filter import (
     LayeredParameters as LayeredParameters,
     layered as layered,
     layered_with_hidden as layered_with_hidden,
 )
+from .layers import Layer as Layer, blur_layers as blur_layers

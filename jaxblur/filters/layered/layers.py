@@ -23,20 +23,15 @@ from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
 from ..builtin import check_layered
 from ..parameters import LayeredParameters
+from .filter import Others, check_frames, checked_neighbor, exposed, frames_of, passes_before
 from .owners import RESTS
 from .slices import (
-    SMALLEST_WEIGHT,
     Images,
     Inputs,
-    Others,
     Plan,
     Sums,
-    check_frames,
-    checked_neighbor,
-    exposed,
-    frames_of,
     longest_motion,
-    passes_before,
+    mean_of,
     slices_along,
     slices_at,
 )
@@ -121,14 +116,9 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
         return Sums(tuple(color), known)
 
     sums = sum_over(plan.slices, slice_of_time, limit)
-    blurs = sums.weight > SMALLEST_WEIGHT
-    inverse = 1 / jnp.where(blurs, sums.weight, 1)
-    blurred = [
-        jnp.where(blurs, color * inverse, kept)
-        for kept, color in zip(images.sharp.here(), sums.color, strict=True)
-    ]
     states = [layer.states.here()[0] for layer in images.layers]
-    return Outcome(tuple(blurred), where=functools.reduce(jnp.maximum, states) != RESTS)
+    state = functools.reduce(jnp.maximum, states)
+    return Outcome(mean_of(sums, images.sharp.here()), where=state != RESTS)
 
 
 def blur_layers(

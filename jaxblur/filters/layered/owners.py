@@ -3,8 +3,8 @@
 Every pixel that moves is drawn where its path has it at each of these times, and the nearest one
 stays: a scatter-max. A mark holds how near the pixel is and where it comes from, so that it is a
 pixel's *owner* that is found. Pixels at rest are not drawn: they own their place unless a mark is
-nearer. What is drawn at a pixel depends on nothing farther away than the radius, so that a part of
-a frame gives the result of the frame.
+nearer. Nothing is drawn farther from its own place than the radius. So a part of a frame gives the
+same result as the whole frame, if it has so many pixels more at its border.
 """
 
 import functools
@@ -207,7 +207,7 @@ class Maps(NamedTuple):
 
 
 def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
-    """Whether a pixel has an owner at all times, at some, or at none."""
+    """What there is to do at a pixel, see `states_of`."""
     marks = [
         images.owners.read(k * images.paths.height + at.row, at.column)[0]
         for k in range(intervals + 1)
@@ -234,8 +234,9 @@ def states_of(
         settings: backend is used.
 
     Returns:
-        `RESTS` where the pixel rests and nothing moves across it, `MOVES` where something does,
-        `MISSES` where at some time nothing of the frame is there. Without derivatives.
+        `MISSES` where the pixel moves and has no owner at two times that follow each other, or at
+        the first or the last; else `MOVES` where it moves or something moves across it; else
+        `RESTS`. Without derivatives.
     """
     images = Maps(owners, Image(lax.stop_gradient(paths.values)))
     height, width = paths.values.shape[:2]

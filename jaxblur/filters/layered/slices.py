@@ -10,35 +10,20 @@ an object covers a pixel for as long as it is there.
 """
 
 import dataclasses
-import functools
-import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jax import core
-from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
-from ...frame import Frame, check_frame, check_frame_type, check_parameters, register_record
-from ...kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
-from ...noise import Noise, resolve_noise
-from ...settings import Settings, checked_settings
-from ...shutter import Shutter, check_shutter_record
-from .._arguments import takes
-from .._masking import append_mask, divide_by_mask
+from ...kernels import At, Image, Outcome, sum_over
+from ...settings import Settings
 from .._sampling import find_texel, path_samples, read_color, read_color_along
-from .._weights import SPEED_FLOOR, anything_moves
-from ..builtin import LAYERED_SLICE, check_layered
+from .._weights import SPEED_FLOOR
 from ..parameters import LayeredParameters
-from . import background
-from .clock import Clock, Span, Times, clock_of, scaled, time_of_light, time_of_owners
-from .neighbors import Neighbor, neighbor_of
-from .owners import RESTS, Coding, intervals_of, moving_owner, owners_of, read_owner, states_of
-from .paths import Path, paths_of
-
-register_record(LayeredParameters)
+from .clock import Span, Times, time_of_light, time_of_owners
+from .owners import RESTS, Coding, moving_owner, read_owner
+from .paths import Path
 
 SMALLEST_WEIGHT = 1e-3
 """Pixels whose slices together weigh less keep their color."""
@@ -149,15 +134,18 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         return Sums(tuple(color), known)
 
     sums = sum_over(plan.slices, slice_of_time, limit)
-    # The mean, or the pixel's own color where nothing is known.
+    (state,) = images.states.here()
+    return Outcome(mean_of(sums, images.color.here()), where=state != RESTS)
+
+
+def mean_of(sums: Sums, sharp: Sequence[Array]) -> tuple[Array, ...]:
+    """The mean color of the slices, or the sharp one where nothing is known."""
     blurs = sums.weight > SMALLEST_WEIGHT
     inverse = 1 / jnp.where(blurs, sums.weight, 1)
-    blurred = [
+    return tuple(
         jnp.where(blurs, color * inverse, kept)
-        for kept, color in zip(images.color.here(), sums.color, strict=True)
-    ]
-    (state,) = images.states.here()
-    return Outcome(tuple(blurred), where=state != RESTS)
+        for kept, color in zip(sharp, sums.color, strict=True)
+    )
 
 
 def longest_motion(at: At, images: Images, plan: Plan) -> Array:
@@ -279,332 +267,3 @@ def visible_shares(
     empty = (1 - first.lands) * (1 - second.lands)
     filled = (1 - empty) / jnp.maximum(shares[0] + shares[1], 1e-6)
     return [share * filled for share in shares], empty
-
-
-class Others(NamedTuple):
-    """What else `layered` may be given.
-
-    Attributes:
-        before: the frame before, or None.
-        after: the frame after, or None.
-        shutter: exposure in frames.
-        hidden: see `layered_with_hidden`.
-        exposure: when light comes in; None for the nominal shutter.
-    """
-
-    before: Frame | None
-    after: Frame | None
-    shutter: jax.Array
-    hidden: jax.Array | None
-    exposure: Shutter | Clock | None = None
-
-
-def passes_before(
-    settings: Settings,
-    frame: Frame,
-    parameters: LayeredParameters,
-    noise: Noise | None,
-    others: Others,
-) -> tuple[Images, Inputs, Plan]:
-    """What pass L5 reads: passes L1 to L4.
-
-    Args:
-        settings: of the filter.
-        frame: checked; velocities are in units of the longest time of the exposure.
-        parameters: arrays.
-        noise: as `layered`.
-        others: with a `Clock`, if there is an exposure.
-
-    Returns:
-        Images, scalars, and what is fixed.
-    """
-    height, width = frame.depth.shape
-    noise = resolve_noise(noise, settings.noise, height, width)
-    slices = settings.samples // LAYERED_SLICE
-    intervals = intervals_of(slices)
-    coding = Coding.of(settings.radius)
-    paths = paths_of(frame, parameters, settings)
-    clock = others.exposure if isinstance(others.exposure, Clock) else None
-    times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    owners = Image(owners_of(paths, intervals, settings, clock))
-    color, paths = Image(frame.color), Image(paths)
-    states = Image(states_of(owners, paths, intervals, settings))
-    neighbors, their_times = _neighbors(others)
-    hidden = others.hidden
-    found = background.background_of(
-        background.Images(
-            color,
-            paths,
-            owners,
-            states,
-            neighbors,
-            None if hidden is None else Image(hidden.reshape(-1, *hidden.shape[2:])),
-            times,
-        ),
-        background.Inputs(parameters, their_times, span),
-        background.Plan(settings, intervals, coding),
-    )
-    tap = Image(noise.tap.astype(frame.color.dtype))
-    images = Images(color, paths, owners, states, Image(found), tap, times)
-    return images, Inputs(parameters, span), Plan(settings, slices, intervals, coding)
-
-
-def _blur(
-    settings: Settings,
-    frame: Frame,
-    parameters: LayeredParameters,
-    noise: Noise | None,
-    others: Others,
-    _: Array,
-) -> jax.Array:
-    """The image."""
-    images, inputs, plan = passes_before(settings, frame, parameters, noise, others)
-    height, width = frame.depth.shape
-    return each_pixel(
-        *(blur_pixel, (height, width), images, inputs, plan),
-        kept=frame.color,
-        backend=settings.backend,
-    )
-
-
-def _neighbors(others: Others) -> tuple[tuple[Neighbor, ...], tuple[Array, ...]]:
-    """The neighbors that are given, and their times in half exposures."""
-    given = [(frame, side) for frame, side in ((others.before, 1), (others.after, -1)) if frame]
-    neighbors = tuple(neighbor_of(frame, side, others.shutter) for frame, side in given)
-    return neighbors, tuple(-side * 2 / others.shutter for _, side in given)
-
-
-def exposed(
-    frame: Frame,
-    parameters: LayeredParameters,
-    others: Others,
-    exposure: Shutter,
-    settings: Settings,
-) -> tuple[Frame, LayeredParameters, Others]:
-    """The inputs in units of the longest time at which light comes in, see `.clock`."""
-    intervals = intervals_of(settings.samples // LAYERED_SLICE)
-    clock, reach = clock_of(exposure, intervals, frame.depth.shape[0], frame.color.dtype)
-    near = {
-        side: None if (neighbor := getattr(others, side)) is None else scaled(neighbor, reach)
-        for side in ("before", "after")
-    }
-    others = others._replace(**near, shutter=others.shutter * reach, exposure=clock)
-    # Parameters are relative to the velocities that the frame has.
-    parameters = dataclasses.replace(parameters, distinct=parameters.distinct * reach)
-    return scaled(frame, reach), parameters, others
-
-
-def _keep(frame: Frame, *others: Any) -> jax.Array:
-    """The same where nothing moves."""
-    return unchanged(frame.color, others[-1])
-
-
-@functools.partial(jax.jit, static_argnames=("settings",))
-def _layered(
-    frame: Frame,
-    parameters: LayeredParameters,
-    noise: Noise | None,
-    others: Others,
-    settings: Settings,
-) -> jax.Array:
-    check_parameters(parameters, LayeredParameters)
-    frame, mask = check_frame(frame), frame.valid
-    if mask is not None:
-        # The frame keeps its mask, for colors that are compared.
-        frame = append_mask(frame).replace(valid=mask)
-    parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    if isinstance(others.exposure, Shutter):
-        frame, parameters, others = exposed(frame, parameters, others, others.exposure, settings)
-    vectors = frame.velocity if frame.path is None else frame.path
-    anything = anything_moves(vectors)
-    blurred = cond_of_values(
-        *(anything, functools.partial(_blur, settings), _keep),
-        (frame, parameters, noise, others, anything),
-    )
-    return blurred if mask is None else divide_by_mask(blurred)
-
-
-@takes(LayeredParameters, Settings, more=("before", "after", "shutter", "exposure"))
-def layered(
-    frame: Frame,
-    parameters: LayeredParameters,
-    *,
-    settings: Settings = Settings(radius=160, fetch="bilinear"),
-    noise: Noise | None = None,
-    before: Frame | None = None,
-    after: Frame | None = None,
-    shutter: ArrayLike = 0.5,
-    exposure: Shutter | None = None,
-) -> jax.Array:
-    """Blur by slices of time.
-
-    Source: this project; forward warping with a depth test finds what is in front, iterative image
-    warping (Bowles et al. 2012) what is at the pixel.
-
-    Args:
-        frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels; a path, if
-            there is one, is followed instead of the velocity, whose derivative is 0 then.
-        parameters: see `LayeredParameters`.
-        settings: samples (three to a slice, the rest left over), radius, spacing, border, fetch,
-            noise and backend. ``bilinear`` mixes the two texels next to a guess, along the axis
-            that its path follows more. ``blend`` mixes what a slice adds for the four texels next
-            to a guess, one guess at a time, the others at their nearest texel.
-        noise: replaces the built-in noise; only ``tap`` is used.
-        before: the frame before, sharp, of the same size and channels, with the motion of an
-            exposure as long as that of ``frame``. It shows some of what ``frame`` hides.
-        after: likewise the frame after.
-        shutter: length of the exposure in frames, by which neighbors are related to it. Not used
-            without them.
-        exposure: when the shutter opens and closes, its curve, and its rolling, in half exposures
-            of the frame's velocity; None for a box from -1 to 1. The radius limits the displacement
-            up to the longest time from 0 at which light comes in: a frame that is exposed from 0
-            to 2 needs twice the radius.
-
-    Returns:
-        (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
-        are returned bit for bit. Differentiable in every input, with outlines that move, but for
-        the number of slices, for which of two depths is in front, and for which surface a hidden
-        color is taken from.
-
-    Raises:
-        ValueError: shapes or dtypes disagree, there are fewer than three samples, the radius is
-            above 4095, a parameter is not a scalar, the shutter is not above 0, the settings are
-            those of another filter, or the exposure is none.
-    """
-    if exposure is not None:
-        check_shutter_record(exposure)
-    others = Others(before, after, frames_of(shutter), None, exposure)
-    return _checked(frame, parameters, noise, others, settings)
-
-
-def layered_with_hidden(
-    frame: Frame,
-    parameters: LayeredParameters,
-    hidden: ArrayLike | None,
-    *,
-    settings: Settings = Settings(radius=160, fetch="bilinear"),
-    noise: Noise | None = None,
-) -> jax.Array:
-    """`layered`, given the colors of surfaces that the frame does not show.
-
-    A hook for experiments: how much of the error is due to hidden background.
-
-    Args:
-        frame: as `layered`, without a mask.
-        parameters: as `layered`.
-        hidden: (T, H, W, C) color of the visible surface at T times spread evenly over the
-            exposure, used where no guess lands; NaN where unknown. None for `layered` itself.
-        settings: as `layered`; no spacing.
-        noise: as `layered`.
-
-    Returns:
-        As `layered`.
-
-    Raises:
-        ValueError: as `layered`, or the hidden colors have another shape, or there is a spacing or
-            a mask beside them.
-    """
-    if hidden is not None:
-        hidden, expected = jnp.asarray(hidden), jnp.shape(frame.color)
-        if hidden.ndim != 4 or hidden.shape[1:] != expected:
-            raise ValueError(f"`hidden` must have shape (T, *{expected}), got {hidden.shape}.")
-        if settings.spacing or frame.valid is not None:
-            raise ValueError("`hidden` works without `settings.spacing` and `frame.valid` only.")
-    others = Others(None, None, jnp.float32(1), hidden)
-    return _checked(frame, parameters, noise, others, settings)
-
-
-def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
-    """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame.
-
-    Args:
-        neighbor: it.
-        name: of the argument.
-        frame: checked.
-
-    Returns:
-        The neighbor.
-
-    Raises:
-        ValueError: it is no frame, or shapes or dtypes disagree.
-    """
-    check_frame_type(neighbor, name)
-    if jnp.shape(neighbor.color) != frame.color.shape:
-        raise ValueError(
-            f"`{name}` must have the shape of `frame`, {frame.color.shape}, got "
-            f"{jnp.shape(neighbor.color)}."
-        )
-    try:
-        checked = check_frame(neighbor)
-    except ValueError as error:
-        raise ValueError(str(error).replace("`frame.", f"`{name}.")) from error
-    if checked.color.dtype != frame.color.dtype:
-        raise ValueError(
-            f"`{name}` must have the dtype of `frame`, {frame.color.dtype}, got "
-            f"{checked.color.dtype}; convert all buffers to one."
-        )
-    return checked
-
-
-def frames_of(shutter: ArrayLike) -> jax.Array:
-    """The length of an exposure in frames as an array.
-
-    Args:
-        shutter: a number.
-
-    Returns:
-        It.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        frames = jnp.asarray(shutter)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"`shutter` must be a number of frames, got {shutter!r}.") from error
-    if frames.shape or jnp.iscomplexobj(frames):
-        kind = f"{frames.dtype} of shape {frames.shape}"
-        raise ValueError(f"`shutter` must be a number of frames, got {kind}.")
-    return frames
-
-
-def check_frames(shutter: jax.Array) -> None:
-    """Reject an exposure that relates no frame to the next; a traced one is not looked at.
-
-    Args:
-        shutter: its length in frames.
-
-    Raises:
-        ValueError: it is not above 0.
-    """
-    if not isinstance(shutter, core.Tracer) and not 0 < float(shutter) < math.inf:
-        raise ValueError(
-            f"`shutter` must be above 0 frames where neighbors are given, got {shutter}."
-        )
-
-
-def _checked(
-    frame: Frame,
-    parameters: LayeredParameters,
-    noise: Noise | None,
-    others: Others,
-    settings: Settings,
-) -> jax.Array:
-    """Check what jit does not see, and give all frames a mask if one has one."""
-    settings = checked_settings(settings, Settings, "layered")
-    check_layered(settings)
-    given = {name: getattr(others, name) for name in ("before", "after")}
-    given = {name: neighbor for name, neighbor in given.items() if neighbor is not None}
-    if given:
-        frame = check_frame(frame)
-        check_frames(others.shutter)
-        given = {name: checked_neighbor(given[name], name, frame) for name in given}
-    if any(f.valid is not None for f in given.values()) or (given and frame.valid is not None):
-        everything = jnp.ones(frame.depth.shape, bool)
-
-        def masked(frame: Frame) -> Frame:
-            return frame if frame.valid is not None else frame.replace(valid=everything)
-
-        frame, given = masked(frame), {k: append_mask(masked(f)) for k, f in given.items()}
-    others = others._replace(**given)
-    return _layered(frame, parameters, noise, others, settings=settings)
