@@ -138,7 +138,8 @@ def blur_layers(
     Args:
         layers: from the front to the back: frames of one size, (H, W, C) with premultiplied color
             and alpha as the last channel, or `Layer` for neighbors and holdouts. An opaque layer,
-            as a clean plate, has an alpha of 1.
+            as a clean plate, has an alpha of 1. Where alpha is 0, velocity should be 0 and depth
+            infinite: motion there makes what is behind less certain at the border.
         parameters: of `layered`, for all layers; its defaults if None.
         settings: as `layered`. Time and memory are those of a frame times the number of layers.
         noise: as `layered`, shared by all layers.
@@ -149,8 +150,9 @@ def blur_layers(
         (H, W, C) color over nothing, premultiplied, alpha last. Differentiable as `layered` is.
 
     Raises:
-        ValueError: there is no layer, shapes disagree, a layer has no alpha or a mask, or another
-            argument is not as `layered` takes it.
+        ValueError: there is no layer, shapes disagree, a layer has fewer than two channels or a
+            mask, or another argument is not as `layered` takes it. That the last channel is alpha
+            cannot be checked.
     """
     if isinstance(layers, Frame | Layer) or not len(layers):
         kind = type(layers).__name__
