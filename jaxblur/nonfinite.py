@@ -51,8 +51,8 @@ NONE_IGNORED = Ignored()
 def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame", Ignored]:
     """Raise an error for NaN and infinity in the buffers of a frame, or leave those pixels out.
 
-    `read_frame` does the same for files; filters check shapes only. This function reads values, so
-    it cannot be called under ``jax.jit``.
+    `read_frame` does the same for files; filters reject only NaN in depth and motion. This function
+    reads values, so it cannot be called under ``jax.jit``.
 
     Args:
         frame: color (H, W, C), depth (H, W) in scene units, velocity (H, W, 2) in pixels,
@@ -87,10 +87,10 @@ def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame
     depth = np.asarray(frame.depth, np.float64)
     bad["depth"] = np.isnan(depth) | np.isneginf(depth)
     no_distance = (depth <= 0) & ~bad["depth"]
-    _refuse("depth", no_distance, "zero or negative", "make it a positive distance")
+    refuse("depth", no_distance, "zero or negative", "make it a positive distance")
     if nonfinite == "error":
         for name, where in bad.items():
-            _refuse(name, where, "NaN or infinite", 'repair it, or pass nonfinite="ignore"')
+            refuse(name, where, "NaN or infinite", 'repair it, or pass nonfinite="ignore"')
     still = bad["velocity"] | bad.get("path", False)
     ignored = Ignored(*(int(where.sum()) for where in (bad["color"], still, bad["depth"])))
     return (_cleaned(frame, bad["color"], still, bad["depth"]) if ignored else frame), ignored
@@ -140,7 +140,18 @@ def _cleaned(frame: "Frame", unknown: Any, still: Any, no_depth: Any) -> "Frame"
     return dataclasses.replace(frame, **changes)
 
 
-def _refuse(name: str, where: np.ndarray, what: str, remedy: str) -> None:
+def refuse(name: str, where: Bool[np.ndarray, "height width"], what: str, remedy: str) -> None:
+    """Raise an error if any pixel of a buffer is marked.
+
+    Args:
+        name: of the buffer.
+        where: (H, W) True for such pixels.
+        what: what they are, such as "NaN".
+        remedy: what the user can do.
+
+    Raises:
+        ValueError: there is one; the message gives their number and the first place.
+    """
     if where.any():
         row, column = np.argwhere(where)[0]
         raise ValueError(

@@ -33,7 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": {"frame", "srgb"},
     "scenes": {"frame", "srgb"},
     "kernels": {"_util", "safe_math", "settings"},
-    "filters": {"frame", "kernels", "noise", "safe_math", "settings", "shutter"},
+    "filters": {"frame", "kernels", "noise", "nonfinite", "safe_math", "settings", "shutter"},
     "vectors": {"frame", "safe_math"},
     "exr": {"_util", "frame", "nonfinite", "srgb", "vectors"},
     "sequence": {"exr"},

@@ -136,12 +136,13 @@ def test_a_centered_box_is_the_length_alone(tmp_path, options):
         (("--shutter-close", "0"), "--shutter-close: needs --shutter-open too"),
         (
             ("--shutter-open", "0", "--shutter-close", "1", "--shutter", "1"),
-            "--shutter: follows from --shutter-open and --shutter-close; leave it out",
+            "--shutter-open and --shutter-close say together when light comes in; leave --shutter ",
         ),
         (
             ("--shutter-open", "0", "--shutter-close", "1", "--shutter-position", "end"),
-            "--shutter-position: follows from",
+            "--shutter-position: --shutter-open and --shutter-close say",
         ),
+        (("--shutter-open=-0.25", "--shutter", "0.5"), "leave --shutter out"),
         (("--shutter-open", "0.5", "--shutter-close", "0.5"), "--shutter-close: must be after"),
         (("--shutter-open", "-180", "--shutter-close", "0"), "-180deg is a shutter angle"),
         (("--shutter-curve", "triangel"), "no curve (did you mean triangle?) and no file"),
@@ -167,6 +168,8 @@ def test_what_cannot_be_meant_is_refused(tmp_path, options, words):
     ("text", "words"),
     [
         ("1\nmany\n", "line 2 holds something else than numbers"),
+        ("0.2x\n1\n0\n", "line 1 holds something else than numbers"),
+        ("time, 1e-\n0, 1\n1, 1\n", "line 1 holds something else than numbers"),
         ("1\n", "a curve has 2 to 10000 points, one in each line; got 1"),
         ("", "got 0"),
         ("0\n-1\n", "must not be negative"),
@@ -237,3 +240,19 @@ def test_sequences_respect_the_shutter_and_its_changes(tmp_path, more):
         assert outcome.status == 2 and "--overwrite" in outcome.err, outcome
     curve_file(tmp_path, "0\n2\n0\n1")
     assert run(*command, *options).status == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "reach"),
+    [
+        (("--shutter", "720deg"), None),
+        (("--shutter", "3frames"), "1.5"),
+        (("--shutter-open", "0", "--shutter-close", "1.25"), "1.25"),
+        (("--shutter", "720deg", "--readout", "0.5"), "1.25"),
+    ],
+)
+def test_an_exposure_beyond_the_next_frame_warns(tmp_path, options, reach):
+    frame = write_frame(tmp_path / "in.exr")
+    error = run("blur", frame, "-o", tmp_path / "out.exr", *options).err
+    expected = f"the exposure reaches {reach} frames from the frame, and vectors one"
+    assert (expected in error) if reach else "exposure reaches" not in error

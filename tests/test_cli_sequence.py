@@ -266,6 +266,14 @@ def test_the_outcome_as_json(shot):
     assert "in.1002.exr" in bad["reason"]
 
 
+def test_one_truth_for_many_frames_is_refused(shot):
+    path, command = shot
+    truth = shutil.copy(path / f"in.{FRAMES[0]}.exr", path / "truth.exr")
+    error = refused(*command, "--frames", "1001-1002", "--truth", truth)
+    assert "truth.exr is one file for 2 frames; write it as truth.####.exr" in error
+    assert run(*command, "--frames", "1001", "--truth", truth).status == 0
+
+
 def test_scores_of_every_frame_and_their_mean(shot):
     path, command = shot
     for frame in FRAMES:

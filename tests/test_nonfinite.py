@@ -50,6 +50,26 @@ def test_one_bad_value_is_refused_with_its_place_or_counted(name, value):
     )
 
 
+@pytest.mark.parametrize("buffer", ["depth", "velocity"])
+@pytest.mark.parametrize("name", FILTERS)
+def test_filters_refuse_nan_that_would_leave_the_frame_sharp(name, buffer):
+    frame = with_value(random_frame((8, 9)), buffer, np.nan)
+    message = rf"`frame.{buffer}` is NaN at 1 of 72 .*row 3, column 5.*finite_frame\(frame, \"ignor"
+    with pytest.raises(ValueError, match=message):
+        run(name, frame)
+    run(name, jaxblur.finite_frame(frame, "ignore")[0])
+
+
+def test_a_neighbor_or_a_path_of_nan_is_refused_too():
+    frame = random_frame((8, 9))
+    bent = frame.replace(path=jnp.zeros((8, 9, 2, 2)).at[1, 2, 0, 1].set(np.nan))
+    with pytest.raises(ValueError, match=r"`frame.path` is NaN at 1 of 72"):
+        run("layered", bent)
+    with pytest.raises(ValueError, match=r"`after.depth` is NaN at 1 of 72"):
+        bad = with_value(frame, "depth", np.nan)
+        jaxblur.layered(frame, jaxblur.LayeredParameters(), after=bad)
+
+
 def test_a_good_frame_is_returned_as_it_is():
     frame = random_frame((8, 9))
     assert jaxblur.finite_frame(frame) == (frame, Ignored())

@@ -150,7 +150,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
         CommandError: before any work, since an option is wrong or an output must not be
             replaced.
     """
-    from jaxblur.sequence import plan_jobs
+    from jaxblur.sequence import has_frame_number, plan_jobs
 
     arguments.in_sequence = True
     if arguments.seed is None:
@@ -165,6 +165,11 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
     sources, outputs = _names(arguments)
     frames = arguments.frames or frames_on_disk(sources["input"])
+    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
+        raise CommandError(
+            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
+            "truth.####.exr."
+        )
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")

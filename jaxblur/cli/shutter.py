@@ -4,6 +4,7 @@ And the shutter of ``jaxblur blur``: where the exposure lies, its curve, and its
 """
 
 import argparse
+import logging
 import math
 import pathlib
 import re
@@ -11,6 +12,7 @@ from typing import Any, NamedTuple
 
 from .arguments import CommandError, did_you_mean, positive_number
 
+LOG = logging.getLogger("jaxblur")
 LONGEST = 2.0
 """Frames above which a number without a unit is taken for a mistake."""
 FORMS = "such as 0.5 (frames), 180deg, or 1/48s with --fps"
@@ -199,18 +201,16 @@ def settle(arguments: argparse.Namespace) -> None:
         CommandError: options exclude each other, or a curve is none.
     """
     open, close = arguments.shutter_open, arguments.shutter_close
-    if (open is None) != (close is None):
-        missing = "open" if open is None else "close"
-        raise CommandError(
-            f"--shutter-{'close' if open is None else 'open'}: needs --shutter-{missing} too."
-        )
-    if open is not None:
+    if open is not None or close is not None:
         for name in ("shutter", "shutter_position"):
             if getattr(arguments, name) is not None:
                 raise CommandError(
-                    f"--{name.replace('_', '-')}: follows from --shutter-open and --shutter-close; "
-                    "leave it out."
+                    f"--{name.replace('_', '-')}: --shutter-open and --shutter-close say together "
+                    f"when light comes in; leave --{name.replace('_', '-')} out."
                 )
+        if open is None or close is None:
+            given, missing = ("close", "open") if open is None else ("open", "close")
+            raise CommandError(f"--shutter-{given}: needs --shutter-{missing} too.")
         if not close > open:
             raise CommandError(
                 f"--shutter-close: must be after --shutter-open, got {open:g} to {close:g} frames."
@@ -222,6 +222,13 @@ def settle(arguments: argparse.Namespace) -> None:
     points = _points(arguments.shutter_curve)
     curve = pathlib.Path(arguments.shutter_curve).name if points else arguments.shutter_curve
     arguments.shutter = close - open
+    reach = max(abs(open), abs(close)) + abs(arguments.readout or 0) / 2
+    if reach > 1 + 1e-9:
+        LOG.warning(
+            "the exposure reaches %.3g frames from the frame, and vectors one: beyond, motion is "
+            "continued as it is at the frame.",
+            reach,
+        )
     plain = abs(open + close) <= 1e-9 * abs(close - open) and curve in (None, "box")
     # A negative length is refused where vectors are read.
     if (plain and not arguments.readout) or arguments.shutter < 0:
@@ -279,7 +286,7 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
         try:
             row = [float(word) for word in words]
         except ValueError:
-            if position == 0:
+            if position == 0 and all(re.fullmatch(r"[A-Za-z_]\w*", word) for word in words):
                 # Names of the columns.
                 continue
             raise CommandError(

@@ -8,12 +8,14 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from . import conformance
 from .arguments import (
     CommandError,
     add_command,
     channel_names,
     file_path,
     positive_integer,
+    preset_name,
 )
 from .console import print_line, print_table
 from .shutter import add_exposure, add_fps
@@ -40,7 +42,20 @@ def add_parser(commands: Any) -> None:
     parser.instead_of_more = _next_as_option
     # `run` demands it: the parser would, before it names a second file without the option.
     parser.add_argument(
-        "--next", type=file_path, metavar="FILE", help="the following frame (required)"
+        "--next", type=file_path, metavar="FILE", help="the following frame (required to rank)"
+    )
+    parser.add_argument(
+        "--conform",
+        type=preset_name,
+        metavar="PRESET",
+        help="test instead, rule by rule, whether the vectors keep this convention (auto: the one "
+        "that their names say)",
+    )
+    parser.add_argument(
+        "--previous",
+        type=file_path,
+        metavar="FILE",
+        help="with --conform: the frame before, for vectors that lead there",
     )
     parser.add_argument(
         "--velocity-channels",
@@ -64,6 +79,12 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Rank the conventions of one pair of frames; see `add_parser`."""
+    if arguments.conform is not None:
+        _check_beside(arguments, "next", "follows")
+        _check_beside(arguments, "previous", "comes before")
+        return conformance.run(arguments)
+    if arguments.previous is not None:
+        raise CommandError("--previous: is for --conform PRESET.")
     ranking = _rank(arguments)
     explained = is_explained(ranking)
     undecided = ranking.undecided
@@ -88,14 +109,13 @@ def _next_as_option(given: Sequence[str], left: Sequence[str]) -> str:
     return f"`jaxblur vectors` takes one frame, and the following one as --next {left[-1]}"
 
 
-def _check_next(arguments: argparse.Namespace) -> None:
-    """Reject a missing following frame, and the frame itself in its place."""
-    if arguments.next is None:
-        raise CommandError("--next: is missing; give the frame that follows.")
-    if arguments.next.exists() and arguments.file.exists():
-        if os.path.samefile(arguments.next, arguments.file):
+def _check_beside(arguments: argparse.Namespace, side: str, place: str) -> None:
+    """Reject the frame itself in place of one beside it."""
+    path = getattr(arguments, side)
+    if path is not None and path.exists() and arguments.file.exists():
+        if os.path.samefile(path, arguments.file):
             raise CommandError(
-                f"--next: {arguments.next} is the frame itself; give the frame that follows."
+                f"--{side}: {path} is the frame itself; give the frame that {place}."
             )
 
 
@@ -104,7 +124,9 @@ def _rank(arguments: argparse.Namespace) -> Any:
 
     from jaxblur import exr, vectors
 
-    _check_next(arguments)
+    if arguments.next is None:
+        raise CommandError("--next: is missing; give the frame that follows.")
+    _check_beside(arguments, "next", "follows")
     info = exr.inspect(arguments.file)
     names = arguments.velocity_channels or _recognized(info, arguments.layer)
     if len(names) % 2:

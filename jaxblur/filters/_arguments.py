@@ -1,6 +1,7 @@
 """What a filter accepts: its own parameters and settings, a frame, noise; and errors for the rest.
 
-The checks look at types only, so that they work while a filter is traced, and accept subclasses.
+The checks of types work while a filter is traced, and accept subclasses; values are looked at only
+where they are known.
 They stand before `jax.jit`, whose errors for a foreign object name neither argument nor remedy.
 """
 
@@ -12,9 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import numpy as np
+from jax import core
 
 from ..frame import check_frame_type
 from ..noise import Noise
+from ..nonfinite import refuse
 from ..settings import Settings, checked_settings
 from .parameters import check_parameters_type
 from .registry import filter_info, names
@@ -28,7 +32,7 @@ _BY_POSITION = ("frame", "parameters")
 def takes(
     parameters: type | None, settings: type[Settings], more: Sequence[str] = ()
 ) -> Callable[..., Any]:
-    """Make a filter check the types of its arguments before anything else.
+    """Make a filter check the types of its arguments, and its motion for NaN, before all else.
 
     Args:
         parameters: the class of its parameters, or None if it has none.
@@ -50,6 +54,7 @@ def takes(
             _check_form(name, parameters, settings, given, known)
             values = dict(zip(_BY_POSITION, given, strict=False)) | known
             _check_types(name, parameters, settings, values)
+            refuse_nan_motion(values["frame"])
             return function(*given, **options)
 
         return checked
@@ -130,3 +135,41 @@ def _unknown_option(
             f"says (for another one scale the velocity); {able} takes any shutter."
         )
     return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."
+
+
+def refuse_nan_motion(frame: Any) -> None:
+    """Reject NaN in depth, velocity or path, which would leave a frame sharp without a word.
+
+    Filters call it. NaN in color stays visible in the result and is not looked for; a buffer that
+    is traced, as under ``jax.jit``, cannot be looked at.
+
+    Args:
+        frame: as given to a filter.
+
+    Raises:
+        ValueError: there is NaN.
+    """
+    for name in ("depth", "velocity", "path"):
+        buffer = getattr(frame, name)
+        if _is_known(buffer) and _has_nan(buffer):
+            where = np.isnan(np.asarray(buffer))
+            where = np.asarray(where.reshape(*where.shape[:2], -1).any(axis=-1))
+            refuse(name, where, "NaN", 'pass jaxblur.finite_frame(frame, "ignore")[0]')
+
+
+def _is_known(buffer: object) -> bool:
+    """Whether the values of a buffer can be read here."""
+    if isinstance(buffer, jax.Array):
+        return not isinstance(buffer, core.Tracer) and buffer.is_fully_addressable
+    return isinstance(buffer, np.ndarray)
+
+
+def _has_nan(buffer: Any) -> bool:
+    if not buffer.size:
+        return False
+    if isinstance(buffer, jax.Array) and any(d.platform != "cpu" for d in buffer.devices()):
+        # On the device; also while something else is traced.
+        with jax.ensure_compile_time_eval():
+            return bool(jax.numpy.isnan(buffer).any())
+    # A minimum is NaN if anything is, and needs no second array.
+    return bool(np.isnan(np.asarray(buffer).min()))

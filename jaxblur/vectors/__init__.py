@@ -18,9 +18,11 @@ previous, current and next positions, and the frame stores the ends of that path
 (`to_half_spread`).
 
 If the convention of a file is unknown, `rank_conventions` warps the next frame back under each
-candidate and ranks the candidates by how well the pictures agree.
+candidate and ranks the candidates by how well the pictures agree. `check_convention` tests one, by
+the rules of the README.
 """
 
+from .conformance import Finding as Finding, check_convention as check_convention
 from .convert import (
     Displacements as Displacements,
     check_shutter as check_shutter,

@@ -130,8 +130,8 @@ def rank_conventions(
     """
     names = _checked(frame_color, next_color, raw_vectors, channels, shutter)
     rows, columns, share = _moving(raw_vectors)
-    now, following = _compress(frame_color)[rows, columns], _compress(next_color)
-    still = _differences(now, following, rows, columns, np.zeros((len(rows), 2)))
+    now, following = compressed(frame_color)[rows, columns], compressed(next_color)
+    still = differences(now, following, rows, columns, np.zeros((len(rows), 2)))
     if max_displace is not None and not 0 < max_displace < math.inf:
         raise ValueError(f"`max_displace` must be above 0, got {max_displace}.")
     size = size or (frame_color.shape[0], frame_color.shape[1])
@@ -150,7 +150,7 @@ def rank_conventions(
             candidates[mapping] = dataclasses.replace(same, presets=both, **named)
             continue
         raw = raw_vectors[rows, columns, 2 * pair : 2 * pair + 2].astype(np.float64)
-        found = _differences(now, following, rows, columns, (raw - offset) * factor)
+        found = differences(now, following, rows, columns, (raw - offset) * factor)
         error = float(np.mean(np.where(np.isnan(found), still, found)))
         candidates[mapping] = Candidate(
             pair_names, sign_x, sign_y, unit, offset, span, error, presets
@@ -230,16 +230,34 @@ def _unit_pixels(unit: str, size: tuple[int, int], displace: float | None) -> np
     return np.array(pixels.get(unit, (displace, displace)), dtype=float)
 
 
-def _compress(color: np.ndarray) -> np.ndarray:
-    """Compress light to 0..1, so that highlights do not dominate."""
+def compressed(color: np.ndarray) -> np.ndarray:
+    """Compress light to 0..1, so that highlights do not dominate.
+
+    Args:
+        color: (H, W, C) linear light.
+
+    Returns:
+        (H, W, C) float32 x/(1+x).
+    """
     light = np.maximum(np.nan_to_num(color.astype(np.float32), posinf=1e6), 0)
     return light / (1 + light)
 
 
-def _differences(
+def differences(
     now: np.ndarray, following: np.ndarray, rows: np.ndarray, columns: np.ndarray, to: np.ndarray
 ) -> np.ndarray:
-    """Compare each pixel with its predicted position, read bilinearly; NaN outside the image."""
+    """Compare pixels with their predicted positions in another frame, read bilinearly.
+
+    Args:
+        now: (N, C) the pixels, as `compressed`.
+        following: (H, W, C) the other frame, as `compressed`.
+        rows: (N,) of the pixels.
+        columns: (N,) of the pixels.
+        to: (N, 2) their displacements, pixels, x right, y down.
+
+    Returns:
+        (N,) mean absolute differences; NaN where a point leaves the image.
+    """
     height, width, _ = following.shape
     y, x = rows + to[:, 1], columns + to[:, 0]
     # The edge of the image is half a pixel beyond the outermost pixel centers.

@@ -16,7 +16,7 @@ from ...kernels import Image, cond_of_values, each_pixel, unchanged
 from ...noise import Noise, resolve_noise
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
-from .._arguments import takes
+from .._arguments import refuse_nan_motion, takes
 from .._masking import append_mask, divide_by_mask
 from .._weights import anything_moves
 from ..builtin import LAYERED_SLICE, check_layered
@@ -276,7 +276,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
         The neighbor.
 
     Raises:
-        ValueError: it is no frame, or shapes or dtypes disagree.
+        ValueError: it is no frame, shapes or dtypes disagree, or depth or motion is NaN.
     """
     check_frame_type(neighbor, name)
     if jnp.shape(neighbor.color) != frame.color.shape:
@@ -286,6 +286,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
         )
     try:
         checked = check_frame(neighbor)
+        refuse_nan_motion(neighbor)
     except ValueError as error:
         raise ValueError(str(error).replace("`frame.", f"`{name}.")) from error
     if checked.color.dtype != frame.color.dtype:
