@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.common import output_parser
-from jaxblur import metrics, scenes, show
+from jaxblur import metrics, perception, scenes, show
 
 MATERIALS = {"M1": "flat", "M2": "checker", "M3": "noise"}
 SPEEDS = {"S1": "slow", "S2": "medium", "S3": "fast"}
@@ -27,7 +27,7 @@ LEVELS = {"A1": 4, "A2": 128, "A3": 256, "A4": 384, "A5": 512}
 
 VOTES_LEVEL = {"A1": 8, "A2": 34, "A3": 48, "A4": 51, "A5": 59}
 """Times each level was preferred, section 5.6.3; a difference below 24 is not significant."""
-SIGNIFICANT_LEVEL = 24
+SIGNIFICANT_LEVEL = perception.least_significant_difference(5, rounds=20)
 
 VOTES_BOTH = {
     "T3A3": 124,
@@ -41,7 +41,7 @@ VOTES_BOTH = {
     "T5A5": 46,
 }
 """Times each pair was preferred, section 5.7.2; a difference below 36 is not significant."""
-SIGNIFICANT_BOTH = 36
+SIGNIFICANT_BOTH = perception.least_significant_difference(9, rounds=21)
 
 
 class Cell(NamedTuple):
@@ -109,18 +109,8 @@ def score(plan: Plan, material: str, speed: str, images: Images) -> list[Cell]:
 
 
 def groups(values: dict[str, float], limit: float) -> Groups:
-    """Overlapping groups of settings whose values differ by less than a limit, best first.
-
-    The rule of the thesis: sort the settings in descending order and take the longest runs whose
-    first and last values do not differ significantly. Runs inside another run are left out.
-    """
-    names = sorted(values, key=lambda name: -values[name])
-    runs: list[tuple[int, int]] = []
-    for first, name in enumerate(names):
-        near = [k for k in range(first, len(names)) if values[name] - values[names[k]] < limit]
-        if not runs or near[-1] > runs[-1][1]:
-            runs.append((first, near[-1]))
-    return [tuple(sorted(names[first : last + 1])) for first, last in runs]
+    """Groups of settings whose values differ by less than a limit, the best first, names sorted."""
+    return [tuple(sorted(group)) for group in perception.equivalent_groups(values, limit)]
 
 
 def agreement(found: Groups, wanted: Groups) -> float:
