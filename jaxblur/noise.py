@@ -113,6 +113,34 @@ def make_noise(kind: NoiseKind, height: int, width: int, seed: int = 0) -> Noise
     return Noise(tap=2 * uniform[..., 0] - 1, tile=uniform[..., 1:] - 0.5)
 
 
+def shared_noise(noise: Noise, disparity: Float[Array, "height width"]) -> Noise:
+    """The noise of a right eye that sticks to the surfaces: where it sees them, that of the left.
+
+    Grain that differs between the eyes disturbs their fusion; so does grain that is at rest on the
+    screen and therefore floats in front of the scene.
+
+    Args:
+        noise: of the left eye.
+        disparity: (H, W) pixels: what the right view shows at column x, the left view shows at
+            ``x + d``; ``focal separation / depth`` with the focal length in pixels, 0 for sky.
+
+    Returns:
+        The noise of the right eye. Where the left view ends, its outermost column is used.
+
+    Raises:
+        ValueError: the disparity has another shape than the noise.
+    """
+    height, width = noise.tap.shape
+    if jnp.shape(disparity) != (height, width):
+        raise ValueError(
+            f"`disparity` must have the shape of the noise, {(height, width)}, got "
+            f"{jnp.shape(disparity)}."
+        )
+    column = jnp.arange(width) + jnp.rint(disparity).astype(jnp.int32)
+    rows, column = jnp.arange(height)[:, None], jnp.clip(column, 0, width - 1)
+    return Noise(noise.tap[rows, column], noise.tile[rows, column])
+
+
 def resolve_noise(noise: Noise | None, kind: NoiseKind, height: int, width: int) -> Noise:
     """Return the noise that was passed, after a check of its shapes, or the built-in kind.
 

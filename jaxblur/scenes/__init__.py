@@ -26,4 +26,5 @@ from .scene import (
     make_scene as make_scene,
 )
 from .shutter import shutter_curve as shutter_curve
+from .stereo import disparity as disparity, stereo as stereo
 from .stochastic import stochastic as stochastic

@@ -158,10 +158,13 @@ class Camera:
         motion: rigid motion from camera space (x right, y down, z forward) to the world.
         focal: () focal length in image **widths**: a point at camera space ``(x, y, z)`` is at
             column ``width/2 + focal width x/z`` and row ``height/2 + focal width y/z``.
+        offset: (3,) shift of the eye in camera axes, scene units, such as half the distance
+            between two eyes.
     """
 
     motion: Motion
     focal: jax.Array
+    offset: jax.Array = dataclasses.field(default_factory=lambda: jnp.zeros(3, jnp.float32))
 
 
 def camera(
@@ -223,7 +226,8 @@ def twisting(camera: Camera, twist: Vector) -> Camera:
     turn, travel = rotation @ twist[:3], rotation @ twist[3:]
     squared = turn @ turn
     if squared == 0:
-        return Camera(rigid(position, orientation=rotation, velocity=travel), camera.focal)
+        straight = rigid(position, orientation=rotation, velocity=travel)
+        return dataclasses.replace(camera, motion=straight)
     motion = rigid(
         position,
         orientation=rotation,
@@ -232,7 +236,7 @@ def twisting(camera: Camera, twist: Vector) -> Camera:
         orbit_pivot=position + np.cross(turn, travel) / squared,
         orbit=(0.0, float(np.sqrt(squared))),
     )
-    return Camera(motion, camera.focal)
+    return dataclasses.replace(camera, motion=motion)
 
 
 def look_at(position: Vector, target: Vector) -> np.ndarray:

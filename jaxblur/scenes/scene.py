@@ -318,6 +318,7 @@ def pose_at(world: World, time: Float[Array, ""]) -> Pose:
     owner = world.point_object
     placed = jnp.einsum("vij,vj->vi", rotation[owner], bent) + translation[owner]
     camera_rotation, camera_position = motion.transform(world.camera.motion, time)
+    camera_position = camera_position + camera_rotation @ world.camera.offset
     normals = jnp.einsum("fij,fcj->fci", rotation[world.triangle_object], world.normals)
     normals = jax.lax.cond(
         jnp.any(world.bends), lambda: _bent_normals(world, placed, normals), lambda: normals
