@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from .frame import register_record
@@ -113,7 +114,7 @@ def make_noise(kind: NoiseKind, height: int, width: int, seed: int = 0) -> Noise
     return Noise(tap=2 * uniform[..., 0] - 1, tile=uniform[..., 1:] - 0.5)
 
 
-def shared_noise(noise: Noise, disparity: Float[Array, "height width"]) -> Noise:
+def shared_noise(noise: Noise, disparity: ArrayLike) -> Noise:
     """The noise of a right eye that sticks to the surfaces: where it sees them, that of the left.
 
     Grain that differs between the eyes disturbs their fusion; so does grain that is at rest on the
