@@ -12,6 +12,7 @@ from jaxblur import exr, metrics, scenes
 from jaxblur.filters import filter_info
 from jaxblur.filters._masking import append_mask
 from jaxblur.filters._weights import finite_depth
+from jaxblur.filters.layered.neighbors import light_of
 from jaxblur.filters.layered.owners import Coding
 from jaxblur.filters.layered.silhouettes import motion_of
 from tests.exr_files import CAR
@@ -329,3 +330,61 @@ def wrong_neighbors():
 def test_wrong_neighbors_are_refused_by_name(words):
     with jax.enable_x64(True), pytest.raises(ValueError, match=words):
         jaxblur.layered(random_frame((4, 5)), PARAMETERS, **wrong_neighbors()[words])
+
+
+def lit(here, there, shift=3):
+    """`light_of` of a plain ground, that moves by some pixels from the neighbor to the frame."""
+    height, width = here.shape[:2]
+    ground = jnp.ones((height, width))
+    velocity = jnp.zeros((height, width, 2))
+    motion = jnp.broadcast_to(jnp.array([shift, 0.0, 0.0]), (height, width, 3))
+    blurred, frame = (
+        jaxblur.Frame(jnp.asarray(color, jnp.float32), ground, velocity) for color in (here, there)
+    )
+    return np.asarray(light_of(blurred, frame, motion, "auto"))
+
+
+def test_a_shadow_that_has_moved_is_another_light_and_texture_is_not():
+    texture = np.random.default_rng(0).random((48, 64, 3)) ** 2
+    there = np.roll(texture, -3, 1)
+    same = lit(texture, there)
+    assert same.shape == (6, 8, 1) and (same[:, :7] == 1).all()
+    shaded = texture.copy()
+    shaded[:, 40:] *= 0.5
+    light = lit(shaded, there)
+    # Blocks of 8 pixels, each with its eight neighbors.
+    assert (light[:, :3] == 1).all() and (light[:, 6] == 0).all()
+    # One channel is enough.
+    red = texture * np.where(np.arange(64)[:, None] < 40, 1, [0.5, 1, 1])
+    assert (lit(red, there)[:, 6] == 0).all()
+
+
+def test_light_is_not_compared_where_the_frame_shows_another_surface():
+    color = np.full((16, 16, 3), 0.5)
+    near = jaxblur.Frame(jnp.asarray(color * 0.1), jnp.full((16, 16), 0.5), jnp.zeros((16, 16, 2)))
+    ground = jaxblur.Frame(jnp.asarray(color), jnp.ones((16, 16)), jnp.zeros((16, 16, 2)))
+    light = light_of(near, ground, jnp.zeros((16, 16, 3)), "auto")
+    np.testing.assert_allclose(light, 0.7)
+
+
+def test_a_neighbor_does_not_light_a_shadow_that_moves_with_its_object():
+    """A disc moves with its shadow; the neighbor shows the ground in the sun."""
+
+    def at_time(time):
+        rows, columns = np.mgrid[:64, :96]
+        across, down = columns - (48 + 10 * time), rows - 28
+        disc, shade = np.hypot(across, down) < 12, np.hypot(across, down - 14) < 22
+        color = np.where(shade, 0.05, 0.6)[..., None] * np.ones(3)
+        color[disc] = (0.7, 0.1, 0.1)
+        velocity = np.zeros((64, 96, 2))
+        velocity[disc] = (10 * 0.25, 0)
+        depth = np.where(disc, 1.0, 4.0)
+        return jaxblur.Frame(*(jnp.asarray(a, jnp.float32) for a in (color, depth, velocity)))
+
+    frame, after = at_time(0), at_time(2)
+    parameters = jaxblur.LayeredParameters()
+    alone = np.asarray(jaxblur.layered(frame, parameters))
+    helped = np.asarray(jaxblur.layered(frame, parameters, after=after))
+    beneath = np.s_[38:46, 30:66]
+    # The shadow hides the disc's edge there; without the test of light it is 0.1 brighter.
+    assert np.abs(helped - alone)[beneath].max() < 0.03

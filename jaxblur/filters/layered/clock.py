@@ -243,5 +243,6 @@ def scaled(frame: Frame, reach: Array) -> Frame:
     velocity = reach * frame.velocity
     if frame.path is None:
         return frame.replace(velocity=velocity)
-    ends = [displacement_at(frame, side * reach) for side in (-1, 1)]
+    path = [frame.path[..., end, axis] for end in (0, 1) for axis in (0, 1)]
+    ends = [jnp.stack(displacement_at(path, side * reach), axis=-1) for side in (-1, 1)]
     return frame.replace(velocity=velocity, path=jnp.stack(ends, axis=-2))

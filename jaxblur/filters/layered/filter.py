@@ -79,7 +79,7 @@ def passes_before(
     owners = Image(owners_of(paths, intervals, settings, clock))
     color, paths = Image(frame.color), Image(paths)
     states = Image(states_of(owners, paths, intervals, settings))
-    neighbors, their_times = _neighbors(others)
+    neighbors, their_times = _neighbors(others, frame, settings)
     hidden = others.hidden
     found = background.background_of(
         background.Images(
@@ -117,10 +117,14 @@ def _blur(
     )
 
 
-def _neighbors(others: Others) -> tuple[tuple[Neighbor, ...], tuple[Array, ...]]:
+def _neighbors(
+    others: Others, blurred: Frame, settings: Settings
+) -> tuple[tuple[Neighbor, ...], tuple[Array, ...]]:
     """The neighbors that are given, and their times in half exposures."""
     given = [(frame, side) for frame, side in ((others.before, 1), (others.after, -1)) if frame]
-    neighbors = tuple(neighbor_of(frame, side, others.shutter) for frame, side in given)
+    neighbors = tuple(
+        neighbor_of(frame, side, others.shutter, blurred, settings.backend) for frame, side in given
+    )
     return neighbors, tuple(-side * 2 / others.shutter for _, side in given)
 
 

@@ -1,17 +1,34 @@
 """The frames before and after, as `layered` reads them: where their points are in the exposure."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ...frame import Frame
-from ...kernels import Image
+from ...kernels import At, Image, Outcome, each_pixel
 from ...safe_math import safe_divide, safe_norm
+from ...settings import Backend
 from .._weights import finite_depth
 
+_BLOCK_BITS = 3
+_BLOCK = 2**_BLOCK_BITS
+"""Pixels of a block over whose neighborhood light is compared."""
+_ONE_SURFACE = 0.03
+"""Log depths of one surface differ by less."""
+_SAME_LIGHT, _OTHER_LIGHT = 0.02, 0.1
+"""Relative differences of square roots of light up to which light is the same, and from which it is
+another."""
+_FEWEST = 4
+"""Points that both frames must show for a comparison."""
+_UNKNOWN_LIGHT = 0.7
+"""What counts where there are fewer."""
+_DARK = 1e-3
+"""Root of the light that counts as none."""
 _CURVED = 1e-3
 """Radians. Below, an arc equals the parabola in float32."""
 
@@ -23,30 +40,157 @@ class Neighbor(NamedTuple):
         color: (H, W, C).
         motion: (H, W, 5) displacement of each pixel to its places at opening and at closing of
             the blurred frame's exposure, x and y of each, pixels; and its log depth.
+        light: (ceil(H/8), ceil(W/8), 1) how far its light is that of the blurred frame, 0 to 1,
+            see `light_of`.
     """
 
     color: Image
     motion: Image
+    light: Image
+
+    def light_at(self, row: Int[Array, ""], column: Int[Array, ""]) -> Array:
+        """`light` of a pixel; of the nearest one outside the frame."""
+        rows, columns = jnp.asarray(self.light.height), jnp.asarray(self.light.width)
+        row, column = row >> _BLOCK_BITS, column >> _BLOCK_BITS
+        (light,) = self.light.read(jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1))
+        return light
 
 
-def neighbor_of(frame: Frame, frames: int, shutter: ArrayLike) -> Neighbor:
+class Vectors(NamedTuple):
+    """Images that `motion_of_pixel` reads.
+
+    Attributes:
+        motion: (H, W, 2) velocity, or (H, W, 4) displacement at opening and closing of the
+            neighbor's own exposure.
+        depth: (H, W, 1).
+    """
+
+    motion: Image
+    depth: Image
+
+
+def motion_of_pixel(at: At, images: Vectors, times: Sequence[Array], _: None) -> Outcome:
+    """The displacement of a pixel at some times, in half exposures, and its log depth."""
+    vectors = images.motion.here()
+    (depth,) = images.depth.here()
+    places = [part for time in times for part in displacement_at(vectors, time)]
+    return Outcome((*places, jnp.log(finite_depth(depth))))
+
+
+class Both(NamedTuple):
+    """Images that `common_light` reads.
+
+    Attributes:
+        here: (H, W, C) picture of the blurred frame.
+        depth: (H, W, 1) of the blurred frame.
+        valid: (H, W, 1) where the blurred frame has light, or None.
+        there: (H, W, C) picture of the neighbor.
+        motion: (H, W, 3) displacement of its pixels to the time of the blurred frame, pixels, and
+            log depth.
+    """
+
+    here: Image
+    depth: Image
+    valid: Image | None
+    there: Image
+    motion: Image
+
+
+def common_light(at: At, images: Both, _: None, __: None) -> Outcome:
+    """Whether both frames show a pixel's point, and the square roots of its light in both."""
+    x, y, log_depth = images.motion.here()
+    height, width = jnp.asarray(images.here.height), jnp.asarray(images.here.width)
+    # The nearest texel, for a mean of two would differ from a texel.
+    row = at.row + jnp.floor(y + 0.5).astype(jnp.int32)
+    column = at.column + jnp.floor(x + 0.5).astype(jnp.int32)
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+    (depth,) = images.depth.read(row, column)
+    both = inside & (jnp.abs(jnp.log(finite_depth(depth)) - log_depth) < _ONE_SURFACE)
+    if images.valid is not None:
+        (valid,) = images.valid.read(row, column)
+        both = both & (valid > 0)
+    lights = (*images.here.read(row, column), *images.there.here())
+    roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in lights]
+    return Outcome((both.astype(x.dtype), *roots))
+
+
+def neighbor_of(
+    frame: Frame, frames: int, shutter: ArrayLike, blurred: Frame, backend: Backend
+) -> Neighbor:
     """A neighbor, from the frame that it is.
 
     Args:
         frame: its motion is that of an exposure as long as the blurred frame's.
         frames: from it to the blurred frame, 1 or -1.
         shutter: exposure in frames.
+        blurred: the frame that is blurred.
+        backend: see `jaxblur.Settings`.
 
     Returns:
-        The neighbor. Differentiable.
+        The neighbor. Differentiable, with `light` held.
     """
+    height, width = frame.depth.shape
     half = jnp.asarray(shutter, frame.color.dtype) / 2
-    ends = [displacement_at(frame, (frames + side * half) / half) for side in (-1, 1)]
-    depth = jnp.log(finite_depth(frame.depth))[..., None]
-    return Neighbor(Image(frame.color), Image(jnp.concatenate([*ends, depth], axis=-1)))
+    times = [(frames + side * half) / half for side in (-1, 1, 0)]
+    vectors = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
+    images = Vectors(Image(vectors), Image(frame.depth[..., None]))
+    motion = each_pixel(motion_of_pixel, (height, width), images, times, None, backend=backend)
+    light = light_of(blurred, frame, motion[..., 4:], backend)
+    ends = jnp.concatenate([motion[..., :4], motion[..., 6:]], axis=-1)
+    return Neighbor(Image(frame.color), Image(ends), Image(light))
 
 
-def displacement_at(frame: Frame, time: Array) -> Float[Array, "height width 2"]:
+def light_of(
+    blurred: Frame, frame: Frame, motion: Float[Array, "height width 3"], backend: Backend
+) -> Float[Array, "block_rows block_columns 1"]:
+    """How far a neighbor shows its points in the light of the blurred frame.
+
+        1 - (|A - B| / (A + B) - 0.02) / 0.08,   clipped to 0..1
+
+    with A and B the means, of the square roots of light, over those points of 24 x 24 pixels that
+    both frames show. A shadow that has moved on makes them differ, texture does not: both means are
+    over the same points. The channel that differs most counts.
+
+    Args:
+        blurred: the blurred frame.
+        frame: the neighbor.
+        motion: (H, W, 3) displacement of its points to the time of the blurred frame, pixels, and
+            their log depth.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        (ceil(H/8), ceil(W/8), 1) for the blocks of the neighbor; 0.7 where both frames show hardly
+        a point in common. It has no derivative.
+    """
+    pictures = [blurred.color, frame.color]
+    if blurred.guide is not None and frame.guide is not None:
+        pictures = [blurred.guide, frame.guide]
+    here, there = (Image(lax.stop_gradient(picture)) for picture in pictures)
+    # A masked frame has the mask as the last channel of its color.
+    valid = None if blurred.valid is None else Image(blurred.color[..., -1:])
+    depth, motion = (lax.stop_gradient(one) for one in (blurred.depth[..., None], motion))
+    images = Both(here, Image(depth), valid, there, Image(motion))
+    (height, width), channels = frame.depth.shape, here.channels
+    lights = _around(each_pixel(common_light, (height, width), images, backend=backend))
+    count = lights[..., :1]
+    mine, other = lights[..., 1 : 1 + channels], lights[..., 1 + channels :]
+    apart = jnp.abs(mine - other) / (mine + other + _DARK * count + 1e-9)
+    most = apart.max(axis=-1, keepdims=True)
+    light = jnp.clip((_OTHER_LIGHT - most) / (_OTHER_LIGHT - _SAME_LIGHT), 0, 1)
+    return lax.stop_gradient(jnp.where(count > _FEWEST, light, _UNKNOWN_LIGHT))
+
+
+def _around(values: jax.Array) -> jax.Array:
+    """Sums over each block of 8 x 8 pixels and the eight around it; (rows, columns, C)."""
+    height, width, _ = values.shape
+    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
+    filled = ((0, rows * _BLOCK - height), (0, columns * _BLOCK - width), (0, 0))
+    blocks = jnp.pad(values, filled).reshape(rows, _BLOCK, columns, _BLOCK, -1).sum((1, 3))
+    return lax.reduce_window(blocks, 0.0, lax.add, (3, 3, 1), (1, 1, 1), "SAME")
+
+
+def displacement_at(vectors: Sequence[Array], time: Array) -> tuple[Array, Array]:
     """Displacement at a time in half exposures, on the arc through the ends of the path.
 
     With l half of the chord and the rest c split into c1 along l and c2 across it, the arc is
@@ -54,22 +198,31 @@ def displacement_at(frame: Frame, time: Array) -> Float[Array, "height width 2"]
         x(t) = l sin(w t)/sin(w) + c2 (1 - cos(w t))/(1 - cos(w)) + c1 t^2,  tan(w/2) = |c2|/|l|,
 
     as `jaxblur.vectors.to_half_spread` defines it.
+
+    Args:
+        vectors: x and y of a velocity; or of the displacements at opening and closing.
+        time: in half exposures.
+
+    Returns:
+        x and y, pixels.
     """
-    if frame.path is None:
-        return time * frame.velocity
-    opening, closing = frame.path[..., 0, :], frame.path[..., 1, :]
-    line, rest = (closing - opening) / 2, (closing + opening) / 2
-    squared = jnp.sum(line * line, axis=-1, keepdims=True)
-    along = safe_divide(jnp.sum(line * rest, axis=-1, keepdims=True), squared) * line
-    across = rest - along
-    ratio = safe_divide(_norm(across), _norm(line))
+    if len(vectors) == 2:
+        return time * vectors[0], time * vectors[1]
+    opening_x, opening_y, closing_x, closing_y = vectors
+    line_x, line_y = (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
+    rest_x, rest_y = (closing_x + opening_x) / 2, (closing_y + opening_y) / 2
+    squared = line_x * line_x + line_y * line_y
+    share = safe_divide(line_x * rest_x + line_y * rest_y, squared)
+    along_x, along_y = share * line_x, share * line_y
+    across_x, across_y = rest_x - along_x, rest_y - along_y
+    ratio = safe_divide(safe_norm(across_x, across_y), safe_norm(line_x, line_y))
     curved = ratio > _CURVED
     angle = 2 * jnp.arctan(jnp.where(curved, ratio, 1))
     tangent = jnp.where(curved, jnp.sin(time * angle) / jnp.sin(angle), time)
     sagitta = jnp.sin(time * angle / 2) / jnp.sin(angle / 2)
-    bend = jnp.where(curved, sagitta, time) ** 2
-    return tangent * line + bend * across + time**2 * along
-
-
-def _norm(vectors: jax.Array) -> jax.Array:
-    return safe_norm(vectors[..., 0], vectors[..., 1])[..., None]
+    bend = jnp.square(jnp.where(curved, sagitta, time))
+    x, y = (
+        tangent * line + bend * across + time * time * along
+        for line, across, along in ((line_x, across_x, along_x), (line_y, across_y, along_y))
+    )
+    return x, y

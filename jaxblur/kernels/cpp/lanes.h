@@ -111,6 +111,7 @@ static inline Floats fabsf(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
     return result;                                              \
   }
 LANE_BY_LANE(ceilf)
+LANE_BY_LANE(atanf)
 LANE_BY_LANE(cosf)
 LANE_BY_LANE(expf)
 LANE_BY_LANE(log1pf)

@@ -252,6 +252,7 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "add": _operator("+"),
     "add_any": _operator("+"),
     "and": _operator("&"),
+    "atan": _function("atanf"),
     "ceil": _function("ceilf"),
     "clamp": _clamp,
     "convert_element_type": _convert,
