@@ -51,6 +51,7 @@ def read_rows(i, a, t, place, width):
 
 OPERATIONS = {
     "elementary": lambda i, a, t, p: jnp.sin(a) + jnp.cos(a * i) + jnp.tanh(a) + jnp.exp(a),
+    "angles": lambda i, a, t, p: jnp.sin(400 * a) + jnp.sin(-9e4 * a * i) + jnp.arctan(a * i),
     "roots": lambda i, a, t, p: jnp.sqrt(jnp.abs(a) + i) + jax.lax.rsqrt(a * a + 1),
     "logarithms": lambda i, a, t, p: jnp.log(a * a + 1) + jnp.log1p(a * a),
     "powers": lambda i, a, t, p: a**3 + (jnp.abs(a) + 1) ** (-2) + (a * a) ** 1.3,
