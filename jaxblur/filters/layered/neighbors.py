@@ -20,9 +20,12 @@ _BLOCK = 2**_BLOCK_BITS
 """Pixels of a block over whose neighborhood light is compared."""
 _ONE_SURFACE = 0.03
 """Log depths of one surface differ by less."""
-_SAME_LIGHT, _OTHER_LIGHT = 0.02, 0.1
+_SAME_LIGHT, _OTHER_LIGHT = 0.05, 0.2
 """Relative differences of square roots of light up to which light is the same, and from which it is
 another."""
+_MOST = 0.85
+"""What a neighbor counts in the same light, beside what the frame knows: the mean of two guesses errs
+less than either."""
 _FEWEST = 4
 """Points that both frames must show for a comparison."""
 _UNKNOWN_LIGHT = 0.7
@@ -146,7 +149,7 @@ def light_of(
 ) -> Float[Array, "block_rows block_columns 1"]:
     """How far a neighbor shows its points in the light of the blurred frame.
 
-        1 - (|A - B| / (A + B) - 0.02) / 0.08,   clipped to 0..1
+        0.85 (0.2 - |A - B| / (A + B)) / 0.15,   clipped to 0..0.85
 
     with A and B the means, of the square roots of light, over those points of 24 x 24 pixels that
     both frames show. A shadow that has moved on makes them differ, texture does not: both means are
@@ -177,7 +180,7 @@ def light_of(
     mine, other = lights[..., 1 : 1 + channels], lights[..., 1 + channels :]
     apart = jnp.abs(mine - other) / (mine + other + _DARK * count + 1e-9)
     most = apart.max(axis=-1, keepdims=True)
-    light = jnp.clip((_OTHER_LIGHT - most) / (_OTHER_LIGHT - _SAME_LIGHT), 0, 1)
+    light = _MOST * jnp.clip((_OTHER_LIGHT - most) / (_OTHER_LIGHT - _SAME_LIGHT), 0, 1)
     return lax.stop_gradient(jnp.where(count > _FEWEST, light, _UNKNOWN_LIGHT))
 
 

@@ -226,6 +226,8 @@ def slices_at(
     def slice_at(i: Array) -> Slice:
         # The owners before and after the slice, each for a time in its own half of it.
         first = ((2 * i + 1).astype(own.x.dtype) * (intervals / 2) / count).astype(jnp.int32)
+        # Beyond its own number of slices a pixel is evaluated too, beside others with more.
+        first = jnp.minimum(first, intervals - 1)
         center = (2 * i + 1).astype(own.x.dtype) - count
         before, after = (
             make_guess((center + side / 2 + jitter) / count, first + k)
