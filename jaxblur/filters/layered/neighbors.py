@@ -24,8 +24,8 @@ _SAME_LIGHT, _OTHER_LIGHT = 0.05, 0.2
 """Relative differences of square roots of light up to which light is the same, and from which it is
 another."""
 _MOST = 0.85
-"""What a neighbor counts in the same light, beside what the frame knows: the mean of two guesses errs
-less than either."""
+"""What a neighbor counts in the same light, beside what the frame knows: the mean of two guesses
+errs less than either."""
 _FEWEST = 4
 """Points that both frames must show for a comparison."""
 _UNKNOWN_LIGHT = 0.7
