@@ -1,7 +1,8 @@
 """Smoke with known truth: ray marched, single scattering, with bodies before, in and behind it.
 
 After Navarro 2012, chapter 2. `puff` has density and flow, `volume` voxels and their distance map,
-`environment` an HDR map reduced to lights, `march` the passes along the rays, `scene` frames,
+`environment` an HDR map reduced to lights, `lighting` the light that reaches
+it, `march` the passes along the rays, `scene` frames,
 layers and truth. Like all of `scenes` it shares no code with the filters.
 """
 
@@ -11,7 +12,7 @@ from .environment import (
     environment_map as environment_map,
     median_cut as median_cut,
 )
-from .march import Marching as Marching, Medium as Medium
+from .lighting import Marching as Marching, Medium as Medium
 from .puff import Flow as Flow, Puff as Puff
 from .scene import (
     SmokeScene as SmokeScene,

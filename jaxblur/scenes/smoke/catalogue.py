@@ -1,20 +1,19 @@
 """The scene: a ball flies through a puff that turns and rises."""
 
-import dataclasses
-
 import jax.numpy as jnp
-import numpy as np
 
 from .. import materials, primitives, props
 from ..motion import camera, rigid
 from ..scene import Body, daylight, make_scene
 from .environment import environment_map, median_cut
-from .march import Medium
+from .lighting import Medium
 from .puff import Flow, Puff, noise_lattice
 from .scene import SmokeScene
 
 
-def ball_in_smoke(*, ball: bool = True, spin: float = 0.5, lights: int = 8, seed: int = 3) -> SmokeScene:
+def ball_in_smoke(
+    *, ball: bool = True, spin: float = 0.5, lights: int = 8, seed: int = 3
+) -> SmokeScene:
     """A ball that flies through smoke, which turns about itself and rises, in front of a wall.
 
     Args:
@@ -36,7 +35,9 @@ def ball_in_smoke(*, ball: bool = True, spin: float = 0.5, lights: int = 8, seed
     thing = None
     if ball:
         coat = materials.checker("#d8432f", "#f4e6c8", (8, 4))
-        path = rigid((0.25, 1.62, 0.05), velocity=(0.55, 0.08, 0.0), spin_axis=(0.3, 1, 0.2), spin=(0.4, 0.1))
+        path = rigid(
+            (0.25, 1.62, 0.05), velocity=(0.55, 0.08, 0.0), spin_axis=(0.3, 1, 0.2), spin=(0.4, 0.1)
+        )
         thing = make_scene("ball", [Body("ball", primitives.sphere(0.42), coat, path)], view, light)
     flow = Flow(
         center=jnp.array([0.0, 1.5, 0.0]),
@@ -54,10 +55,12 @@ def ball_in_smoke(*, ball: bool = True, spin: float = 0.5, lights: int = 8, seed
         lattice=jnp.asarray(noise_lattice(seed)),
     )
     medium = Medium(
-        extinction=jnp.float32(3.0),
+        extinction=jnp.float32(5.0),
         albedo=jnp.array([0.92, 0.92, 0.92]),
         emission=jnp.zeros(3),
         anisotropy=jnp.float32(0.3),
     )
     scattered = median_cut(environment_map(light), lights)
-    return SmokeScene("ball_in_smoke", puff, medium, scattered, make_scene("wall", around, view, light), thing)
+    return SmokeScene(
+        "ball_in_smoke", puff, medium, scattered, make_scene("wall", around, view, light), thing
+    )

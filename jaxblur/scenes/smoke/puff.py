@@ -71,8 +71,8 @@ def noise_lattice(seed: int) -> Float[np.ndarray, "l l l"]:
 
 
 def moved(
-    flow: Flow, points: Float[Array, "*n 3"], start: Float[Array, ""], end: Float[Array, ""]
-) -> Float[Array, "*n 3"]:
+    flow: Flow, points: Float[Array, "... 3"], start: Float[Array, ""], end: Float[Array, ""]
+) -> Float[Array, "... 3"]:
     """Find where the flow carries points from one time to another; exact, in both directions.
 
     Args:
@@ -92,8 +92,8 @@ def moved(
 
 
 def velocity(
-    flow: Flow, points: Float[Array, "*n 3"], time: Float[Array, ""]
-) -> Float[Array, "*n 3"]:
+    flow: Flow, points: Float[Array, "... 3"], time: Float[Array, ""]
+) -> Float[Array, "... 3"]:
     """Velocity of the flow at points.
 
     Args:
@@ -111,8 +111,8 @@ def velocity(
 
 
 def density(
-    puff: Puff, points: Float[Array, "*n 3"], time: Float[Array, ""]
-) -> Float[Array, "*n"]:
+    puff: Puff, points: Float[Array, "... 3"], time: Float[Array, ""]
+) -> Float[Array, "..."]:
     """Density of the smoke: that of the place from which the flow has brought it.
 
         d = smoothstep(clip((1 - |q / radii| - roughness n(q)) / soft edge))

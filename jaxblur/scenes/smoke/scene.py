@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 from typing import NamedTuple
 
 import jax
@@ -18,7 +19,8 @@ from ..scene import NEAR, Scene
 from ..shutter import ShutterFunction, exposure_center, exposure_positions, shutter_curve
 from .bodies import Bodies, bodies
 from .environment import Lights
-from .march import Marched, Marching, Medium, Rays, Track, march
+from .lighting import Marching, Medium, light_of_corners
+from .march import Marched, Rays, Track, march
 from .puff import Flow, Puff, moved
 from .volume import Volume, smoke_at
 
@@ -151,8 +153,8 @@ def render_smoke(
     if scene.thing is not None:
         thing = rendering.render(scene.thing, time, shutter, size, path=True, subpixels=1)
         surface = _nearer(thing, surface)
-    volume = _volume(scene, time, marching)
-    met = _tracked(scene, volume, time, shutter, (0.0, surface.depth), size, marching)
+    lit = _lit(scene, time, marching)
+    met = _tracked(scene, lit, time, shutter, (0.0, surface.depth), size, marching)
     through = met.transmittance.reshape(size)
     assert surface.path is not None
     inverse = met.sums[0].reshape(size) + through / surface.depth
@@ -200,12 +202,12 @@ def smoke_layers(
         raise ValueError(
             f"`layers` must be 1 or even, half of them in front of the thing, got {layers}."
         )
-    volume = _volume(scene, time, marching)
+    lit = _lit(scene, time, marching)
     held_out = scene.thing if layers == 1 else None
-    planes = _planes(scene, volume, time, layers)
+    planes = _planes(scene, lit.volume, time, layers)
     smoke = tuple(
-        _smoke_layer(scene, volume, time, shutter, ends, held_out, size, subpixels, marching)
-        for ends in zip(planes[:-1], planes[1:], strict=True)
+        _smoke_layer(scene, lit, time, shutter, ends, held_out, size, subpixels, marching)
+        for ends in itertools.pairwise(planes)
     )
     options = {"path": True, "subpixels": subpixels}
     behind = rendering.render(scene.surroundings, time, shutter, size, **options)
@@ -223,25 +225,46 @@ def _check_samples(name: str, count: int) -> None:
         raise ValueError(f"`{name}` must be at least 1, got {count}.")
 
 
-def _volume(scene: SmokeScene, time: float, marching: Marching) -> Volume:
-    return smoke_at(scene.puff, jnp.float32(time), marching.cells)
+class Lit(NamedTuple):
+    """Smoke at one time.
+
+    Attributes:
+        volume: the voxels.
+        light: at the corners of their cells, or None.
+    """
+
+    volume: Volume
+    light: jax.Array | None
+
+
+def _lit(scene: SmokeScene, time: float, marching: Marching) -> Lit:
+    """Voxels, and where light is cached that too."""
+    moment = jnp.float32(time)
+    volume = smoke_at(scene.puff, moment, marching.cells)
+    if marching.lighting != "cached":
+        return Lit(volume, None)
+    _, eye = motion.transform(scene.camera.motion, moment)
+    return Lit(volume, _light(volume, scene.medium, scene.lights, eye, marching))
+
+
+_light = jax.jit(light_of_corners, static_argnames="marching")
 
 
 def _mean_image(
     scene: SmokeScene, times: np.ndarray, size: tuple[int, int], marching: Marching
 ) -> Float[Array, "height width 3"]:
     """The mean of sharp images, one for each time, each with one ray per pixel."""
-    total, volume, last = jnp.zeros((*size, 3)), None, None
+    total, lit, last = jnp.zeros((*size, 3)), None, None
     footprint = len(times) ** -0.5
     for time, offset in zip(times, subpixel_offsets(len(times)), strict=True):
-        if volume is None or time != last:
-            volume, last = _volume(scene, time, marching), time
+        if lit is None or time != last:
+            lit, last = _lit(scene, time, marching), time
         seen = bodies(scene.surroundings, time, offset, footprint, size)
         if scene.thing is not None:
             thing = bodies(scene.thing, time, offset, footprint, size)
             nearer = thing.depth < seen.depth
             seen = Bodies(*(jnp.where(nearer, a, b) for a, b in zip(thing, seen, strict=True)))
-        met = _marched(scene, volume, time, offset, (0.0, seen.depth), size, marching)
+        met = _marched(scene, lit, time, offset, (0.0, seen.depth), size, marching)
         total = total + _image(met.color + met.transmittance * seen.color, size)
     return total / len(times)
 
@@ -256,23 +279,25 @@ Ends = tuple[float | Array, float | Array]
 
 def _marched(
     scene: SmokeScene,
-    volume: Volume,
+    lit: Lit,
     time: float,
     offset: np.ndarray,
     ends: Ends,
     size: tuple[int, int],
     marching: Marching,
 ) -> Marched:
-    near, far = (jnp.broadcast_to(jnp.asarray(e, jnp.float32).ravel(), size[0] * size[1]) for e in ends)
+    near, far = (
+        jnp.broadcast_to(jnp.asarray(e, jnp.float32).ravel(), size[0] * size[1]) for e in ends
+    )
     where = jnp.asarray(offset, jnp.float32)
     moment = jnp.float32(time)
-    arguments = (volume, scene.medium, scene.lights, scene.camera, moment, where, near, far)
+    arguments = (lit, scene.medium, scene.lights, scene.camera, moment, where, near, far)
     return _march(*arguments, None, None, size, marching)
 
 
 def _tracked(
     scene: SmokeScene,
-    volume: Volume,
+    lit: Lit,
     time: float,
     shutter: float,
     ends: Ends,
@@ -280,16 +305,18 @@ def _tracked(
     marching: Marching,
 ) -> Marched:
     """March through pixel centers; the sums are of 1/depth and of the path, without light."""
-    near, far = (jnp.broadcast_to(jnp.asarray(e, jnp.float32).ravel(), size[0] * size[1]) for e in ends)
+    near, far = (
+        jnp.broadcast_to(jnp.asarray(e, jnp.float32).ravel(), size[0] * size[1]) for e in ends
+    )
     unlit = dataclasses.replace(marching, lighting="none")
     moment, times = jnp.float32(time), jnp.float32(time) + jnp.array([-0.5, 0.5]) * shutter
-    arguments = (volume, scene.medium, scene.lights, scene.camera, moment, jnp.zeros(2), near, far)
+    arguments = (lit, scene.medium, scene.lights, scene.camera, moment, jnp.zeros(2), near, far)
     return _march(*arguments, scene.puff.flow, times, size, unlit)
 
 
 @functools.partial(jax.jit, static_argnames=("size", "marching"))
 def _march(
-    volume: Volume,
+    lit: Lit,
     medium: Medium,
     lights: Lights,
     camera: Camera,
@@ -309,7 +336,7 @@ def _march(
     length = jnp.linalg.norm(ray, axis=0)
     world = Rays(eye, rotation @ ray / length, near * length, far * length)
     track = None if flow is None or times is None else tracker(flow, camera, time, times, size)
-    return march(volume, medium, lights, world, size, marching, track)
+    return march(*(lit.volume, medium, lights, world, size, marching), light=lit.light, track=track)
 
 
 def tracker(
@@ -405,7 +432,7 @@ def _quantiles(depth: np.ndarray, mass: np.ndarray, parts: int) -> list[float]:
 
 def _smoke_layer(
     scene: SmokeScene,
-    volume: Volume,
+    lit: Lit,
     time: float,
     shutter: float,
     ends: tuple[float, float],
@@ -423,10 +450,10 @@ def _smoke_layer(
 
     color = jnp.zeros((*size, 4))
     for offset in subpixel_offsets(subpixels):
-        met = _marched(scene, volume, time, offset, until(offset), size, marching)
+        met = _marched(scene, lit, time, offset, until(offset), size, marching)
         rgba = jnp.concatenate([met.color, 1 - met.transmittance[None]])
         color = color + _image(rgba, size) / subpixels
-    met = _tracked(scene, volume, time, shutter, until(np.zeros(2)), size, marching)
+    met = _tracked(scene, lit, time, shutter, until(np.zeros(2)), size, marching)
     weight = 1 - met.transmittance
     means = jnp.where(weight > 0, met.sums / jnp.where(weight > 0, weight, 1.0), 0.0)
     return _frame(color, means[0].reshape(size), _paths(means[1:], size))

@@ -45,9 +45,14 @@ def volume_of(
     Returns:
         The volume, of (X, Y, Z) cells.
     """
-    ends = (slice(None, -1), slice(1, None))
-    corners = jnp.stack([values[a, b, c] for a in ends for b in ends for c in ends], axis=-1)
+    corners = corners_of(values)
     return Volume(corners, distance_map(jnp.any(corners > 0, axis=-1), spacing), low, spacing)
+
+
+def corners_of(values: Float[Array, "a b c"]) -> Float[Array, "x y z 8"]:
+    """Lay the values of grid points at the corners of each cell together; see `Volume`."""
+    ends = (slice(None, -1), slice(1, None))
+    return jnp.stack([values[a, b, c] for a in ends for b in ends for c in ends], axis=-1)
 
 
 @functools.partial(jax.jit, static_argnames="cells")
@@ -76,9 +81,7 @@ def smoke_at(puff: Puff, time: Float[Array, ""], cells: tuple[int, int, int]) ->
     return volume_of(inner, low, spacing)
 
 
-def distance_map(
-    occupied: Array, spacing: Float[Array, " 3"]
-) -> Float[Array, "x y z"]:
+def distance_map(occupied: Array, spacing: Float[Array, " 3"]) -> Float[Array, "x y z"]:
     """Distance from every cell to the nearest occupied one, between their nearest points.
 
         gap(c)^2 = min over occupied c' of sum_i (spacing_i max(|c_i - c'_i| - 1, 0))^2
@@ -105,9 +108,23 @@ def distance_map(
     return jnp.sqrt(squared)
 
 
+class Place(NamedTuple):
+    """Where points are in a volume.
+
+    Attributes:
+        index: (...) int, of the cell.
+        weights: for each axis the weights (...) of the lower and the upper corner.
+        within: (...) bool, whether they are in the box at all.
+    """
+
+    index: jax.Array
+    weights: list[tuple[jax.Array, jax.Array]]
+    within: jax.Array
+
+
 def read(
-    volume: Volume, points: Float[Array, "3 *n"]
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    volume: Volume, points: Float[Array, "3 ..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Read density and the distance to smoke at points.
 
     Args:
@@ -117,29 +134,45 @@ def read(
     Returns:
         Density (...), 0 outside of the volume, and the distance (...), scene units.
     """
-    counts = volume.gap.shape
-    weights, index, within = [], jnp.int32(0), True
-    for axis, count in enumerate(counts):
+    place = _locate(volume, points)
+    value = _mixed(volume.corners.reshape(-1, 8)[place.index], place)
+    return jnp.where(place.within, value, 0.0), volume.gap.reshape(-1)[place.index]
+
+
+def read_light(
+    volume: Volume, light: Float[Array, "x y z 24"], points: Float[Array, "3 ..."]
+) -> Float[Array, "3 ..."]:
+    """Read light that is given at the corners of the cells; see `.lighting.light_of_corners`."""
+    place = _locate(volume, points)
+    corners = light.reshape(-1, 24)[place.index]
+    return jnp.stack([_mixed(corners[..., 8 * c : 8 * c + 8], place) for c in range(3)])
+
+
+def _locate(volume: Volume, points: Array) -> Place:
+    weights, index, within = [], jnp.int32(0), jnp.bool_(True)
+    for axis, count in enumerate(volume.gap.shape):
         place = (points[axis] - volume.low[axis]) / volume.spacing[axis]
         cell = jnp.clip(jnp.floor(place), 0, count - 1)
         within = within & (place >= 0) & (place <= count)
         rest = jnp.clip(place - cell, 0, 1)
         weights.append((1 - rest, rest))
         index = index * count + cell.astype(jnp.int32)
-    corners = volume.corners.reshape(-1, 8)[index]
-    x, y, z = weights
-    value = sum(
+    return Place(index, weights, within)
+
+
+def _mixed(corners: Array, place: Place) -> Array:
+    x, y, z = place.weights
+    return sum(
         x[i] * y[j] * z[k] * corners[..., 4 * i + 2 * j + k]
         for i in (0, 1)
         for j in (0, 1)
         for k in (0, 1)
     )
-    return jnp.where(within, value, 0.0), volume.gap.reshape(-1)[index]
 
 
 def crossing(
-    volume: Volume, origin: Float[Array, "3 *n"], direction: Float[Array, "3 *n"]
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    volume: Volume, origin: Float[Array, "3 ..."], direction: Float[Array, "3 ..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Find where rays enter and leave the box of a volume, by its slabs.
 
     Args:
