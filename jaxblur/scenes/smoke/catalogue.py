@@ -12,7 +12,7 @@ from .scene import SmokeScene
 
 
 def ball_in_smoke(
-    *, ball: bool = True, spin: float = 0.5, lights: int = 8, seed: int = 3
+    *, ball: bool = True, spin: float = 1.2, lights: int = 8, seed: int = 3
 ) -> SmokeScene:
     """A ball that flies through smoke, which turns about itself and rises, in front of a wall.
 
@@ -25,7 +25,7 @@ def ball_in_smoke(
     Returns:
         The scene.
     """
-    view = camera((0.0, 1.75, 7.2), (0.0, 1.6, 0.0), field_of_view=40)
+    view = camera((0.0, 1.75, 7.0), (0.0, 1.6, 0.0), field_of_view=38)
     light = daylight((-0.75, 0.7, 0.35), sun=(2.6, 2.3, 1.9))
     brick = props.bricks("#1d2026", "#3a4450", 0.3)
     around = [
@@ -36,7 +36,7 @@ def ball_in_smoke(
     if ball:
         coat = materials.checker("#d8432f", "#f4e6c8", (8, 4))
         path = rigid(
-            (0.25, 1.62, 0.05), velocity=(0.55, 0.08, 0.0), spin_axis=(0.3, 1, 0.2), spin=(0.4, 0.1)
+            (0.25, 1.62, 0.05), velocity=(1.0, 0.15, 0.0), spin_axis=(0.3, 1, 0.2), spin=(0.4, 0.1)
         )
         thing = make_scene("ball", [Body("ball", primitives.sphere(0.42), coat, path)], view, light)
     flow = Flow(
@@ -49,13 +49,13 @@ def ball_in_smoke(
     puff = Puff(
         flow=flow,
         radii=jnp.array([1.75, 1.5, 1.75]),
-        roughness=jnp.float32(0.95),
+        roughness=jnp.float32(0.9),
         scale=jnp.float32(0.8),
-        age=jnp.float32(4.0),
+        age=jnp.float32(2.0),
         lattice=jnp.asarray(noise_lattice(seed)),
     )
     medium = Medium(
-        extinction=jnp.float32(5.0),
+        extinction=jnp.float32(7.0),
         albedo=jnp.array([0.92, 0.92, 0.92]),
         emission=jnp.zeros(3),
         anisotropy=jnp.float32(0.3),

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 LATTICE = 32
 OCTAVES = 4
+BILLOW_CONTRAST = 3.0
 SOFT_EDGE = 0.35
 """Over which part of the shape the density grows from 0 to 1."""
 
@@ -54,7 +55,7 @@ class Puff:
         roughness: () how much noise takes away: 0 leaves a smooth ellipsoid.
         scale: () size of the largest billows, scene units.
         age: () frames for which the flow has wound the smoke at time 0.
-        lattice: (L, L, L) noise values, 0 to 1, periodic.
+        lattice: (L, L, L, 3) gradients of the noise, unit vectors, periodic.
     """
 
     flow: Flow
@@ -65,9 +66,10 @@ class Puff:
     lattice: jax.Array
 
 
-def noise_lattice(seed: int) -> Float[np.ndarray, "l l l"]:
-    """Random values of a periodic lattice, uniform in 0 to 1."""
-    return np.random.default_rng(seed).random((LATTICE,) * 3).astype(np.float32)
+def noise_lattice(seed: int) -> Float[np.ndarray, "l l l 3"]:
+    """Random gradients of a periodic lattice, unit vectors."""
+    vectors = np.random.default_rng(seed).normal(size=(LATTICE, LATTICE, LATTICE, 3))
+    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
 
 
 def moved(
@@ -157,27 +159,28 @@ def bounds(puff: Puff, time: Float[Array, ""]) -> tuple[Float[Array, " 3"], Floa
 
 
 def _billows(lattice: Array, points: Array) -> Array:
-    """Sum of octaves of folded noise, 0 to 1."""
+    """Sum of octaves of folded gradient noise [Perlin 1985], about 0 to 1."""
     total, weights = jnp.zeros(points.shape[:-1]), 0.0
     for octave in range(OCTAVES):
         weight = 0.55**octave
         # Octaves are shifted against each other: their lattice points must not coincide.
-        noise = _value_noise(lattice, points * 2.03**octave + 5.3 * octave)
-        total, weights = total + weight * jnp.abs(2 * noise - 1), weights + weight
-    return jnp.clip(total / weights * 1.6, 0, 1)
+        noise = _gradient_noise(lattice, points * 2.03**octave + 5.3 * octave)
+        total, weights = total + weight * jnp.abs(noise), weights + weight
+    return jnp.clip(total / weights * BILLOW_CONTRAST, 0, 1)
 
 
-def _value_noise(lattice: Array, points: Array) -> Array:
-    """Lattice values, interpolated with continuous first and second derivatives."""
+def _gradient_noise(lattice: Array, points: Array) -> Array:
+    """Zero at the lattice points, where it has the lattice's gradients; two derivatives."""
     cell = jnp.floor(points)
     rest = points - cell
-    rest = rest**3 * (rest * (6 * rest - 15) + 10)
     first = cell.astype(jnp.int32) % LATTICE
     pairs = [(first[..., axis], (first[..., axis] + 1) % LATTICE) for axis in range(3)]
-    shares = [(1 - rest[..., axis], rest[..., axis]) for axis in range(3)]
-    return sum(
-        shares[0][i] * shares[1][j] * shares[2][k] * lattice[pairs[0][i], pairs[1][j], pairs[2][k]]
-        for i in (0, 1)
-        for j in (0, 1)
-        for k in (0, 1)
-    )
+    fade = rest**3 * (rest * (6 * rest - 15) + 10)
+    total = jnp.zeros(points.shape[:-1])
+    for corner in np.ndindex(2, 2, 2):
+        gradient = lattice[tuple(pairs[axis][corner[axis]] for axis in range(3))]
+        ramp = jnp.sum(gradient * (rest - jnp.array(corner)), axis=-1)
+        for axis in range(3):
+            ramp *= fade[..., axis] if corner[axis] else 1 - fade[..., axis]
+        total += ramp
+    return total
