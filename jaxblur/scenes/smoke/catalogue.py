@@ -55,7 +55,7 @@ def ball_in_smoke(
         lattice=jnp.asarray(noise_lattice(seed)),
     )
     medium = Medium(
-        extinction=jnp.float32(7.0),
+        extinction=jnp.float32(4.0),
         albedo=jnp.array([0.92, 0.92, 0.92]),
         emission=jnp.zeros(3),
         anisotropy=jnp.float32(0.3),

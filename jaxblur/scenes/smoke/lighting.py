@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from .blocks import in_blocks, wanted_first
@@ -76,7 +77,7 @@ class Marching:
             raise ValueError(f"`lighting` must be one of {names}, got {self.lighting!r}.")
 
 
-def phase(cosine: Float[Array, "..."], anisotropy: Float[Array, ""]) -> Float[Array, "..."]:
+def phase(cosine: ArrayLike, anisotropy: ArrayLike) -> Float[Array, "..."]:
     """The phase function of Henyey and Greenstein; its integral over the sphere is 1.
 
         p(c) = (1 - g^2) / (4 pi (1 + g^2 - 2 g c)^(3/2))
@@ -88,6 +89,7 @@ def phase(cosine: Float[Array, "..."], anisotropy: Float[Array, ""]) -> Float[Ar
     Returns:
         (...) per steradian.
     """
+    cosine, anisotropy = jnp.asarray(cosine), jnp.asarray(anisotropy)
     base = 1 + anisotropy**2 - 2 * anisotropy * cosine
     return (1 - anisotropy**2) / (4 * jnp.pi * base**1.5)
 
@@ -125,8 +127,8 @@ def light_transmittance(
 
     def go(state: tuple[Array, Array]) -> tuple[Array, Array]:
         i, passed = state
-        value, gap = read(volume, origin + (i + 0.5) * step * direction)
         length = jnp.clip(leave - i * step, 0, step)
+        value, gap = read(volume, origin + (i * step + length / 2) * direction)
         passed = passed + jnp.where((i < count) & (passed < most), value * length, 0.0)
         return i + stride(gap, step, marching), passed
 

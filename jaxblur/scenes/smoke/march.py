@@ -1,6 +1,7 @@
 """Ray marching of smoke: a validity mask, then the rays that meet smoke [Navarro 2012, 2.3].
 
-Samples lie on shells around the eye, in the middle of steps of equal length. A segment of length D
+Samples lie on shells around the eye, in the middle of steps of equal length, of which only the part
+within the volume and in front of bodies counts. A segment of length D
 with extinction k and albedo w has the opacity ``a = 1 - exp(-k D)`` and adds, front to back,
 
     T a (w sum_n p(cos theta_n) L_n tau_n + (1 - w) L_e),   then   T <- T (1 - a)
@@ -147,6 +148,15 @@ def steps_of(volume: Volume, rays: Rays, step: Float[Array, ""]) -> Steps:
     return Steps(first, last, near, far, rays.direction)
 
 
+def segment(
+    steps: Steps, i: Int[Array, " rays"], step: Float[Array, ""]
+) -> tuple[Float[Array, " rays"], Float[Array, " rays"]]:
+    """Middle and length of step i of each ray, as far as it lies between the ray's ends."""
+    begin = jnp.maximum(i * step, steps.near)
+    end = jnp.minimum((i + 1) * step, steps.far)
+    return (begin + end) / 2, jnp.maximum(end - begin, 0)
+
+
 def first_with_smoke(
     volume: Volume,
     eye: Float[Array, " 3"],
@@ -180,7 +190,8 @@ def first_with_smoke(
 
         def search(state: tuple[Array, Array]) -> tuple[Array, Array]:
             i, found = state
-            value, gap = read(volume, eye[:, None] + (i + 0.5) * step * part.direction)
+            middle, _ = segment(part, i, step)
+            value, gap = read(volume, eye[:, None] + middle * part.direction)
             found = found | ((value > 0) & (i < part.last))
             return jnp.where(found, i, i + stride(gap, step, marching)), found
 
@@ -212,11 +223,10 @@ def _march_block(
     def go(state: tuple[Array, Marched]) -> tuple[Array, Marched]:
         i, met = state
         active = (i < part.last) & (met.transmittance > DARK)
-        points = eye[:, None] + (i + 0.5) * step * part.direction
+        middle, length = segment(part, i, step)
+        points = eye[:, None] + middle * part.direction
         value, gap = read(volume, points)
-        begin = i * step
-        length = jnp.minimum(begin + step, part.far) - jnp.maximum(begin, part.near)
-        thickness = medium.extinction * value * jnp.maximum(length, 0)
+        thickness = medium.extinction * value * length
         weight = jnp.where(active, -jnp.expm1(-thickness) * met.transmittance, 0.0)
         lit = active & (value > 0) if marching.distance_map else active
         color = met.color + weight * source(points, part.direction, lit)

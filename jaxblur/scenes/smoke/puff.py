@@ -14,6 +14,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 LATTICE = 32
@@ -73,7 +74,7 @@ def noise_lattice(seed: int) -> Float[np.ndarray, "l l l 3"]:
 
 
 def moved(
-    flow: Flow, points: Float[Array, "... 3"], start: Float[Array, ""], end: Float[Array, ""]
+    flow: Flow, points: Float[Array, "... 3"], start: ArrayLike, end: ArrayLike
 ) -> Float[Array, "... 3"]:
     """Find where the flow carries points from one time to another; exact, in both directions.
 
@@ -93,9 +94,7 @@ def moved(
     return jnp.stack(turned, axis=-1) + flow.center + end * flow.drift
 
 
-def velocity(
-    flow: Flow, points: Float[Array, "... 3"], time: Float[Array, ""]
-) -> Float[Array, "... 3"]:
+def velocity(flow: Flow, points: Float[Array, "... 3"], time: ArrayLike) -> Float[Array, "... 3"]:
     """Velocity of the flow at points.
 
     Args:
@@ -112,9 +111,7 @@ def velocity(
     return share[..., None] * jnp.stack(turn, axis=-1) + flow.drift
 
 
-def density(
-    puff: Puff, points: Float[Array, "... 3"], time: Float[Array, ""]
-) -> Float[Array, "..."]:
+def density(puff: Puff, points: Float[Array, "... 3"], time: ArrayLike) -> Float[Array, "..."]:
     """Density of the smoke: that of the place from which the flow has brought it.
 
         d = smoothstep(clip((1 - |q / radii| - roughness n(q)) / soft edge))
@@ -138,7 +135,7 @@ def density(
     return level**2 * (3 - 2 * level)
 
 
-def bounds(puff: Puff, time: Float[Array, ""]) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
+def bounds(puff: Puff, time: ArrayLike) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
     """Find a box that holds all smoke.
 
     Args:
