@@ -12,12 +12,14 @@ from jaxblur import scenes
 from jaxblur.scenes import Marching, Medium
 from jaxblur.scenes.smoke import lighting, puff, volume
 from jaxblur.scenes.smoke.environment import directions, solid_angles
-from jaxblur.scenes.smoke.march import Rays, march
+from jaxblur.scenes.smoke.march import Rays, march as traced_march
 
 SIZE = (24, 32)
 SMALL = Marching(cells=(24, 24, 24))
 THICK = 1.7
 """Extinction per scene unit of the block of fog."""
+
+march = jax.jit(traced_march, static_argnames=("size", "marching"))
 
 
 def medium_of(albedo=0.0, emission=0.0, extinction=THICK, anisotropy=0.0):
@@ -34,9 +36,9 @@ def block_of_fog(cells=9):
 
 
 def rays_along_z(far=np.inf):
-    """Rays toward +z through a 4 x 4 grid in and beside the box."""
+    """Rays toward +z into the box and past it."""
     count = SIZE[0] * SIZE[1]
-    y, x = np.meshgrid(np.linspace(-0.3, 0.3, SIZE[0]), np.linspace(-0.4, 0.4, SIZE[1]))
+    y, x = np.meshgrid(np.linspace(-0.6, 0.6, SIZE[0]), np.linspace(-0.75, 0.75, SIZE[1]))
     direction = np.stack([x.ravel(), y.ravel(), np.ones(count)])
     direction /= np.linalg.norm(direction, axis=0)
     ends = jnp.zeros(count), jnp.full(count, far)
@@ -53,6 +55,7 @@ def still_ball():
     flow = dataclasses.replace(
         scene.puff.flow, drift=jnp.zeros(3), rise=jnp.float32(0), spin=jnp.float32(0)
     )
+    assert scene.thing is not None
     motions = scene.thing.world.motions
     travel = motions.travel.at[:, 1:].set(0)
     motions = dataclasses.replace(motions, travel=travel, spin=motions.spin.at[:, 1:].set(0))
@@ -348,7 +351,6 @@ def test_layers_of_smoke_add_up_to_the_frame(smoke_alone, layers):
     frame = scenes.render_smoke(smoke_alone, **options)
     split = scenes.smoke_layers(smoke_alone, layers=layers, **options)
     assert len(split.before) == layers and split.thing is None and split.behind == ()
-    np.testing.assert_allclose(composited(split.frames), frame.color, atol=0.02)
     np.testing.assert_allclose(composited(split.frames), frame.color, atol=0.02)
 
 

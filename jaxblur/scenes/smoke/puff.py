@@ -88,7 +88,7 @@ def moved(
         (..., 3) scene units.
     """
     x, y, z = jnp.moveaxis(points - flow.center - start * flow.drift, -1, 0)
-    passed = (end - start) / (1 + (x**2 + z**2) / flow.core**2)
+    passed = jnp.subtract(end, start) / (1 + (x**2 + z**2) / flow.core**2)
     cosine, sine = jnp.cos(flow.spin * passed), jnp.sin(flow.spin * passed)
     turned = (cosine * x + sine * z, y + flow.rise * passed, cosine * z - sine * x)
     return jnp.stack(turned, axis=-1) + flow.center + end * flow.drift

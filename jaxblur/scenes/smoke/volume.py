@@ -162,12 +162,11 @@ def _locate(volume: Volume, points: Array) -> Place:
 
 def _mixed(corners: Array, place: Place) -> Array:
     x, y, z = place.weights
-    return sum(
-        x[i] * y[j] * z[k] * corners[..., 4 * i + 2 * j + k]
-        for i in (0, 1)
-        for j in (0, 1)
-        for k in (0, 1)
-    )
+    # Along one axis after the other; the first half of the corners are the lower ones.
+    for low, high in (x, y, z):
+        half = corners.shape[-1] // 2
+        corners = low[..., None] * corners[..., :half] + high[..., None] * corners[..., half:]
+    return corners[..., 0]
 
 
 def crossing(
