@@ -26,7 +26,13 @@ def ball_in_smoke(
         The scene.
     """
     view = camera((0.0, 1.75, 7.0), (0.0, 1.6, 0.0), field_of_view=38)
-    light = daylight((-0.75, 0.7, 0.35), sun=(2.6, 2.3, 1.9))
+    light = daylight(
+        (-0.8, 0.65, 0.3),
+        sun=(3.6, 3.1, 2.5),
+        zenith="#33619c",
+        horizon="#8ba3b8",
+        ground="#4a463f",
+    )
     brick = props.bricks("#1d2026", "#3a4450", 0.3)
     around = [
         props.wall("wall", brick, (14.0, 8.0), (0.0, 4.0, -3.2)),
@@ -34,7 +40,7 @@ def ball_in_smoke(
     ]
     thing = None
     if ball:
-        coat = materials.checker("#d8432f", "#f4e6c8", (8, 4))
+        coat = materials.checker("#b8301f", "#cdb78c", (8, 4))
         path = rigid(
             (0.25, 1.62, 0.05), velocity=(1.0, 0.15, 0.0), spin_axis=(0.3, 1, 0.2), spin=(0.4, 0.1)
         )
