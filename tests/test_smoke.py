@@ -259,9 +259,7 @@ def test_mask_and_distance_map_leave_the_picture_as_it_is(scene, mask, distance)
 
 def test_cached_light_is_nearly_that_of_every_sample(scene):
     smoke, rays = smoke_and_rays(scene, 24)
-    every, cached = (
-        dataclasses.replace(SMALL, lighting=kind) for kind in ("shadows", "cached")
-    )
+    every, cached = (dataclasses.replace(SMALL, lighting=kind) for kind in ("shadows", "cached"))
     given = scene.medium, scene.lights
     light = jax.jit(lighting.light_of_corners, static_argnames="marching")(
         smoke, *given, rays.eye, cached
