@@ -23,6 +23,7 @@ import jaxblur
 from experiments import common, pictures
 from jaxblur import metrics, scenes
 from jaxblur.scenes import Marching
+from jaxblur.scenes.smoke.lighting import Lighting
 from jaxblur.scenes.smoke.march import Rays, march
 from jaxblur.scenes.smoke.volume import Volume, crossing, distance_map, smoke_at
 
@@ -128,7 +129,7 @@ MODES = {
     "mask": {"validity_mask": True, "distance_map": False},
     "mask and distance map": {"validity_mask": True, "distance_map": True},
 }
-LIGHTINGS = {"alpha": "none", "primary": "primary", "self shadows": "shadows"}
+LIGHTINGS: dict[str, Lighting] = {"alpha": "none", "primary": "primary", "self shadows": "shadows"}
 BOX_SHARE = 0.5
 """Share of the picture that the box of the volume covers, as in section 2.4 of the thesis."""
 
@@ -164,15 +165,14 @@ def rays_at(volume: Volume, size: tuple[int, int]) -> Rays:
     return Rays(eye, direction, jnp.zeros(columns.size), jnp.full(columns.size, jnp.inf))
 
 
-def seconds(function: Callable[[], Any], repeats: int) -> float:
-    """The least processor time of a function, after a first call that compiles it."""
-    jax.block_until_ready(function())
-    least = np.inf
+def timed(function: Callable[[], Any], repeats: int) -> tuple[float, Any]:
+    """The least processor time of a function, after a first call that compiles it; its result."""
+    result, least = jax.block_until_ready(function()), np.inf
     for _ in range(repeats):
         start = time.process_time()
         jax.block_until_ready(function())
         least = min(least, time.process_time() - start)
-    return float(least)
+    return float(least), result
 
 
 def speed_ups(folder: Any) -> None:
@@ -186,7 +186,7 @@ def speed_ups(folder: Any) -> None:
         volume = smoke_at(puff, 0.0, cells)
         rays = rays_at(volume, SPEED_SIZE)
         occupied = jnp.any(volume.corners > 0, axis=-1)
-        map_time = seconds(functools.partial(mapped, occupied, volume.spacing), 3)
+        map_time, _ = timed(functools.partial(mapped, occupied, volume.spacing), 3)
         enter, leave = crossing(volume, rays.eye[:, None], rays.direction)
         first = True
         for label, lighting in LIGHTINGS.items():
@@ -197,8 +197,9 @@ def speed_ups(folder: Any) -> None:
                 )
                 arguments = (volume, scene.medium, scene.lights, rays)
                 run = functools.partial(marched, *arguments, size=SPEED_SIZE, marching=marching)
-                times.append(seconds(run, 1 if lighting == "shadows" else 5))
-                shown.append(run())
+                seconds, result = timed(run, 1 if lighting == "shadows" else 5)
+                times.append(seconds)
+                shown.append(result)
             worst = max(float(jnp.max(jnp.abs(s.color - shown[0].color))) for s in shown)
             if first:
                 smoke = float(jnp.mean(shown[0].transmittance < 1))
