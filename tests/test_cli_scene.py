@@ -85,6 +85,7 @@ def test_the_list_shows_every_scene_with_a_line_about_it():
     assert all(len(text) > 10 for text in rows.values())
 
 
+@pytest.mark.slow
 def test_smoke_comes_with_layers_that_can_be_blurred(tmp_path):
     given = ("scene", "smoke", "-o", tmp_path, "--size", "48x32")
     outcome = run(*given, "--truth", "--truth-samples", "4")
