@@ -30,6 +30,8 @@ from jaxblur.scenes.smoke.volume import Volume, crossing, distance_map, smoke_at
 SIZE, SHUTTER, TRUTH_SAMPLES, SUBPIXELS = (180, 320), 0.5, 48, 8
 MARCHING = Marching(cells=(64, 64, 64))
 LAYERS = (1, 2, 4)
+SHOWN = slice(6, 174), slice(50, 270)
+"""Rows and columns of the pictures."""
 SCENES = {"ball in smoke": True, "smoke alone": False}
 """For each name whether there is a ball."""
 
@@ -97,7 +99,7 @@ def compare(folder: Any) -> None:
         images = images_of(scenes.ball_in_smoke(ball=ball))
         shown = [images.sharp, images.named["layered, flat"], images.named[f"{LAYERS[-1]} layers"]]
         errors = [pictures.error_image(image, images.truth) for image in shown]
-        sheet += [[*shown, images.truth], errors]
+        sheet += [[image[SHOWN] for image in row] for row in ([*shown, images.truth], errors)]
         scores = {"sharp": images.sharp} | images.named
         rows.append([name, *(psnr(image, images.truth) for image in scores.values())])
         if ball:
@@ -148,7 +150,7 @@ class Setting(NamedTuple):
     roughness: float
 
 
-SETTINGS = (Setting("i", (64, 64, 32), 0.9), Setting("ii", (48, 48, 48), 0.4))
+SETTINGS = (Setting("i", (64, 64, 32), 1.9), Setting("ii", (48, 48, 48), 0.7))
 STEP, SHADOW_STEP = 0.5, 1.0
 """Cells. The thesis samples twice in a voxel, or less."""
 
