@@ -81,8 +81,33 @@ def test_the_list_shows_every_scene_with_a_line_about_it():
     outcome = run("scene", "--list")
     assert outcome.status == 0
     rows = dict(line.split(maxsplit=1) for line in outcome.out.splitlines()[1:])
-    assert list(rows) == list(scenes.SCENES)
+    assert list(rows) == [*scenes.SCENES, "smoke"]
     assert all(len(text) > 10 for text in rows.values())
+
+
+@pytest.mark.slow
+def test_smoke_comes_with_layers_that_can_be_blurred(tmp_path):
+    given = ("scene", "smoke", "-o", tmp_path, "--size", "48x32")
+    outcome = run(*given, "--truth", "--truth-samples", "4")
+    assert outcome.status == 0, outcome.err
+    kinds = ("", "_layer1", "_layer2", "_layer3", "_layer4", "_truth")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"smoke{k}.0000.exr" for k in kinds]
+    flat = jaxblur.read_frame(tmp_path / "smoke.0000.exr", shutter=0.5)
+    layers = [
+        jaxblur.read_frame(tmp_path / f"smoke_layer{k}.0000.exr", shutter=0.5) for k in (1, 2, 3, 4)
+    ]
+    assert [np.shape(frame.color)[-1] for frame in (flat, *layers)] == [3, 4, 4, 4, 4]
+    color, through = np.zeros((32, 48, 3)), 1.0
+    for layer in layers:
+        rgba = np.asarray(layer.color)
+        color, through = color + through * rgba[..., :3], through * (1 - rgba[..., 3:])
+    assert np.sqrt(np.mean((color - np.asarray(flat.color)) ** 2)) < 0.02
+
+
+def test_options_that_smoke_or_other_scenes_lack_are_refused(tmp_path):
+    assert "--ids: smoke has no" in refused("scene", "smoke", "-o", tmp_path, "--ids")
+    assert "1 or even" in refused("scene", "smoke", "-o", tmp_path, "--layers", "3")
+    assert "only smoke has layers" in refused("scene", "gears", "-o", tmp_path, "--layers", "2")
 
 
 def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):

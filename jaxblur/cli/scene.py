@@ -10,6 +10,7 @@ from typing import Any
 
 import jaxblur
 
+from . import smoke
 from .arguments import (
     CommandError,
     add_command,
@@ -31,7 +32,9 @@ FILE_LAYOUT = """\
 NAME.####.exr holds linear color (R, G, B), planar depth (Z, +inf for sky) and the vectors
 velocity.previous.X, .Y and velocity.next.X, .Y in pixels per frame, x right, y down, exact for
 the given shutter; `jaxblur blur` reads it as it is. Frame k is centered on time k; the unit of
-time is one frame."""
+time is one frame. The scene `smoke` also has NAME_layerK.####.exr, premultiplied color and alpha,
+depth and vectors of each layer from the front (1) to the back: smoke in front of a ball, the ball,
+smoke behind it, the wall; `jaxblur.blur_layers` takes them in this order."""
 
 
 def add_parser(commands: Any) -> None:
@@ -54,6 +57,12 @@ def add_parser(commands: Any) -> None:
     add_fps(parser)
     parser.add_argument(
         "--size", type=image_size, default=(720, 1280), metavar="WxH", help="default 1280x720"
+    )
+    parser.add_argument(
+        "--layers",
+        type=positive_integer,
+        metavar="N",
+        help=f"of smoke only: layers of smoke, 1 or an even number (default {smoke.LAYERS})",
     )
     parser.add_argument("--ids", action="store_true", help="write NAME_id.####.exr, object numbers")
     parser.add_argument("--truth", action="store_true", help="write NAME_truth.####.exr too")
@@ -78,19 +87,27 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.shutter > 0:
         raise CommandError(f"--shutter must be above 0, got {arguments.shutter:g}.")
     check_folder(arguments.output)
+    is_smoke = arguments.name == smoke.NAME
+    if arguments.layers and not is_smoke:
+        raise CommandError(f"--layers: only {smoke.NAME} has layers, {arguments.name} has none.")
     kinds = [""] + ["_id"] * arguments.ids + ["_truth"] * arguments.truth
+    kinds = smoke.kinds(arguments) if is_smoke else kinds
     check_outputs(
         (_path(arguments, kind, frame) for frame in arguments.frames for kind in kinds),
         arguments.overwrite,
     )
     height, width = arguments.size
     start_jax(not arguments.no_compile_cache)
-    scene = make_scene(arguments.name)
+    scene = None if is_smoke else make_scene(arguments.name)
     LOG.info("%s at %dx%d; the first frame compiles the scene", arguments.name, width, height)
     arguments.output.mkdir(parents=True, exist_ok=True)
     for frame in track(arguments.frames, arguments.name):
         started = time.perf_counter()
-        _write_frame(scene, arguments, frame)
+        if is_smoke:
+            paths = {kind: _path(arguments, kind, frame) for kind in kinds}
+            smoke.write_smoke(arguments, paths, frame, _notes(arguments, frame))
+        else:
+            _write_frame(scene, arguments, frame)
         print_line(_path(arguments, "", frame))
         LOG.info("frame %d ok %.2f s", frame, time.perf_counter() - started)
     return 0
@@ -139,12 +156,23 @@ def _print_catalogue() -> None:
 
     print_table(
         ("scene", "what it shows"),
-        [(name, (inspect.getdoc(make) or "").partition("\n")[0]) for name, make in SCENES.items()],
+        [(name, (inspect.getdoc(make) or "").partition("\n")[0]) for name, make in SCENES.items()]
+        + [(smoke.NAME, smoke.line_about_it())],
     )
 
 
 def _path(arguments: argparse.Namespace, kind: str, frame: int) -> pathlib.Path:
     return arguments.output / f"{arguments.name}{kind}.{frame:04d}.exr"
+
+
+def _notes(arguments: argparse.Namespace, number: int) -> dict[str, str | float]:
+    """Metadata of every file."""
+    return {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:scene": arguments.name,
+        "jaxblur:time": float(number),
+        "jaxblur:shutter": arguments.shutter,
+    }
 
 
 def _write_frame(scene: Any, arguments: argparse.Namespace, number: int) -> None:
@@ -153,12 +181,7 @@ def _write_frame(scene: Any, arguments: argparse.Namespace, number: int) -> None
     from jaxblur import exr, scenes
 
     shutter, size = arguments.shutter, arguments.size
-    notes = {
-        "jaxblur:version": jaxblur.__version__,
-        "jaxblur:scene": arguments.name,
-        "jaxblur:time": float(number),
-        "jaxblur:shutter": shutter,
-    }
+    notes = _notes(arguments, number)
     if arguments.truth:
         truth = np.asarray(scenes.accumulate(scene, number, shutter, arguments.truth_samples, size))
         samples = {"jaxblur:samples": arguments.truth_samples}

@@ -26,5 +26,20 @@ from .scene import (
     make_scene as make_scene,
 )
 from .shutter import shutter_curve as shutter_curve
+from .smoke import (
+    Flow as Flow,
+    Lights as Lights,
+    Marching as Marching,
+    Medium as Medium,
+    Puff as Puff,
+    SmokeLayers as SmokeLayers,
+    SmokeScene as SmokeScene,
+    accumulate_smoke as accumulate_smoke,
+    ball_in_smoke as ball_in_smoke,
+    environment_map as environment_map,
+    median_cut as median_cut,
+    render_smoke as render_smoke,
+    smoke_layers as smoke_layers,
+)
 from .stereo import disparity as disparity, stereo as stereo
 from .stochastic import stochastic as stochastic
