@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, results, sequence, stages, strength
+from . import isolation, mattes, results, sequence, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -72,6 +72,7 @@ def add_parser(commands: Any) -> None:
         "--drop-extra", action="store_true", help="write the color alone, not the other channels"
     )
     strength.add_pass_options(parser)
+    mattes.add_option(parser)
     parser.add_argument(
         "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
     )
@@ -177,6 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_motion(arguments)
     _check_colors(arguments)
     strength.check(arguments)
+    mattes.check(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
@@ -201,6 +203,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
             exr.refuse_overwrite(output, source)
     stages.warn_of_double_blur(arguments)
     check_outputs(outputs, arguments.overwrite)
+    mattes.warn_of_sharp(arguments, arguments.input)
     started = time.perf_counter()
     with remarks_once():
         loaded = _load(arguments, asked)
@@ -209,6 +212,8 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
+    changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
+    loaded = dataclasses.replace(loaded, changes=changes)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)

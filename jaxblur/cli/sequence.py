@@ -16,7 +16,7 @@ from typing import Any
 
 import jaxblur
 
-from . import results, stages, strength
+from . import mattes, results, stages, strength
 from .arguments import CommandError, frame_numbers, in_option_names, positive_integer
 from .compute import start_jax
 from .console import print_line, print_table
@@ -52,6 +52,8 @@ NOT_A_CHOICE = frozenset(
             "fps",
             "require_motion",
         ),
+        # Cryptomattes count by whether they are blurred.
+        "cryptomatte",
         # Neighbors count by whether they are used; the others are for single frames.
         *("neighbors", "before", "after", "subframes"),
         # The exposure counts by its times and its points.
@@ -171,6 +173,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     settle_convention(arguments, sources)
     neighbors = _uses_neighbors(arguments, asked)
     choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
+    choices |= {"cryptomatte": True} if arguments.cryptomatte else {}
     plan = plan_jobs(
         *(frames, sources, outputs, choices),
         overwrite=arguments.overwrite,
@@ -180,6 +183,8 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     if arguments.dry_run:
         return _print_plan(plan, arguments.json)
     _refuse(plan, sources["input"])
+    if todo := plan.with_action("blur"):
+        mattes.warn_of_sharp(arguments, todo[0].inputs["input"])
     return _Run(arguments, asked, plan).run()
 
 
@@ -262,6 +267,8 @@ class FrameWork:
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
                 blurred = stages.blur(chosen, loaded, self._at(job).seed)
+                changes = mattes.blur(chosen, loaded, self._at(job).seed, [loaded])
+            loaded = dataclasses.replace(loaded, changes=changes)
             return loaded.without_neighbor_pixels(), chosen, blurred
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:

@@ -51,6 +51,8 @@ class Buffers:
         ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
         pass_channels: full names of the channels of further color passes.
         pass_colors: (H, W, K) their values, or None.
+        guide: (H, W, G) colors that show of which surface a pixel is, or None, as in
+            `jaxblur.Frame`; not beside passes.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -65,6 +67,7 @@ class Buffers:
     ignored: Ignored = NONE_IGNORED
     pass_channels: tuple[str, ...] = ()
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
+    guide: Float[np.ndarray, "height width channels"] | None = None
 
     def frame(self) -> "Frame":
         """The buffers as a `jaxblur.Frame` of JAX arrays.
@@ -76,7 +79,7 @@ class Buffers:
 
         from jaxblur.frame import Frame
 
-        color, guide = jnp.asarray(self.color), None
+        color, guide = jnp.asarray(self.color), self.guide
         if self.pass_colors is not None:
             color, guide = jnp.concatenate([color, jnp.asarray(self.pass_colors)], axis=-1), color
         return Frame(
@@ -85,7 +88,7 @@ class Buffers:
             velocity=jnp.asarray(self.velocity),
             path=None if self.path is None else jnp.asarray(self.path),
             valid=None if self.valid is None else jnp.asarray(self.valid),
-            guide=guide,
+            guide=None if guide is None else jnp.asarray(guide),
         )
 
 
