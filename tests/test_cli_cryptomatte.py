@@ -228,3 +228,27 @@ def test_a_sequence_is_made_again_with_the_option(tmp_path):
     sharp = stored(tmp_path / "a.0002.exr")
     assert (first != sharp).any() and (second == sharp).all()
     assert "2 kept" in run("blur", *names, *SIMPLE, "--cryptomatte", "--cut", "2").out
+
+
+def test_info_lists_names_and_identifiers(tmp_path):
+    names = [f"/set/thing{number:02d}" for number in range(30)]
+    source, channels = write(tmp_path / "a.exr")
+    many = write_single(tmp_path / "b.exr", channels, **notes(names=names))
+    hero = f"{exr.identifier_of('/hero'):08x}"
+    out = run("info", source).out
+    assert "Cryptomatte CryptoObject: 6 ranks, 3 names in the manifest" in out
+    assert ["/hero", hero] in [line.split() for line in out.splitlines()]
+    out = run("info", many).out
+    assert "/set/thing19" in out and "/set/thing20" not in out and "and 10 more; -v" in out
+    assert "/set/thing29" in run("info", many, "-v").out
+    unlisted = {key: value for key, value in notes().items() if "manifest" not in key}
+    bare = write_single(tmp_path / "c.exr", channels, **unlisted)
+    assert f"<{hero}>" in run("info", bare).out
+    listing = json.loads(run("info", bare, "--json").out)["cryptomatte"]
+    assert set(listing[0]["identifiers"].values()) == {
+        f"{exr.identifier_of(name):08x}" for name in NAMES
+    }
+    broken = {key.replace("manifest", "manif_file"): value for key, value in notes().items()}
+    damaged = write_single(tmp_path / "d.exr", channels, **broken)
+    outcome = run("info", damaged)
+    assert outcome.status == 0 and "Cryptomatte: damaged (" in outcome.out

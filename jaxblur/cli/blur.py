@@ -209,6 +209,8 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
         loaded = _load(arguments, asked)
         parts = _load_subframes(arguments, asked, loaded)
     read = time.perf_counter()
+    if not loaded.selects:
+        raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
 
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])

@@ -287,6 +287,7 @@ class FrameWork:
         sides = {"before": job.frame - 1, "after": job.frame + 1}
         used = loaded.neighbors if stages.NEIGHBORS in notes else ()
         return {
+            "selects": loaded.selects,
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,
             "neighbors": [sides[side] for side in used],
@@ -335,6 +336,7 @@ class _Run:
 
     def __init__(self, arguments: argparse.Namespace, asked: stages.Choice, plan: Any):
         self.arguments, self.asked, self.plan = arguments, asked, plan
+        self.selects: list[bool] = []
         self.records = {job.frame: _record(job) for job in plan.jobs}
 
     def run(self) -> int:
@@ -349,7 +351,14 @@ class _Run:
         self._leave_result()
         same = self.arguments.allow_resize or not self._resized()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
-        return 0 if done and same else FAILED
+        return 0 if done and same and self._selects_something() else FAILED
+
+    def _selects_something(self) -> bool:
+        """Whether a scale of the motion is for any pixel of any frame; if not, that is reported."""
+        if any(self.selects) or len(self.selects) < len(self.plan.jobs):
+            return True
+        LOG.error("%s of any frame.", strength.SELECTS_NOTHING)
+        return False
 
     def _done(self) -> list[Any]:
         """The jobs whose outputs exist."""
@@ -413,6 +422,7 @@ class _Run:
             for level, text in outcome.messages:
                 LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))
         if outcome.error is None:
+            self.selects.append(outcome.result.pop("selects"))
             record |= outcome.result
             record["status"] = "written"
             times = ", ".join(f"{stage} {t:.2f}" for stage, t in outcome.seconds.items())

@@ -61,6 +61,7 @@ class Source(NamedTuple):
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
         motion: how its motion was changed, in words; see `strength.apply`.
         ranks: a `jaxblur.exr.Ranks` of each Cryptomatte layer, if they are to be blurred.
+        selects: whether ``--scale-motion`` is for any pixel; see `strength.Changed`.
     """
 
     path: pathlib.Path
@@ -68,6 +69,7 @@ class Source(NamedTuple):
     states: Any
     motion: str = ""
     ranks: tuple[Any, ...] = ()
+    selects: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +89,7 @@ class Loaded:
         motion: how its motion was changed, in words.
         ranks: of `Source`.
         changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
+        selects: of `Source`.
     """
 
     buffers: Any
@@ -101,6 +104,7 @@ class Loaded:
     motion: str = ""
     ranks: tuple[Any, ...] = ()
     changes: tuple[Any, ...] = ()
+    selects: bool = True
 
     def picture(self, blurred: Any) -> Any:
         """The blurred picture, without further passes."""
@@ -152,13 +156,13 @@ def read(arguments: argparse.Namespace) -> Source:
     mattes = getattr(arguments, "matte_from", None)
     files = (arguments.input, arguments.velocity_from, arguments.depth_from, mattes)
     states = exr.FileStates.of(path for path in files if path is not None)
-    buffers, motion = strength.apply(arguments, sources.read(arguments))
+    buffers, motion, selects = strength.apply(arguments, sources.read(arguments))
     ranks = ()
     if getattr(arguments, "cryptomatte", None):
         group = exr.ColorGroup("", buffers.color_channels, None)
         ranks = exr.read_ranks(arguments.input, group)
         LOG.info("Cryptomattes: %s", ", ".join(each.layer.name for each in ranks))
-    return Source(arguments.input, buffers, states, motion, ranks)
+    return Source(arguments.input, buffers, states, motion, ranks, selects)
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -200,6 +204,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         exposure=exposure,
         motion=source.motion,
         ranks=source.ranks,
+        selects=source.selects,
     )
 
 

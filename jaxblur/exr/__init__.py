@@ -50,6 +50,7 @@ from .cryptomatte import (
     CryptomatteLayer as CryptomatteLayer,
     cryptomatte_layers as cryptomatte_layers,
     identifier_of as identifier_of,
+    names_in as names_in,
     read_cryptomatte as read_cryptomatte,
 )
 from .files import (
@@ -60,6 +61,7 @@ from .files import (
     Part as Part,
     inspect as inspect,
     read_channels as read_channels,
+    read_values as read_values,
 )
 from .passes import choose_passes as choose_passes
 from .ranks import (

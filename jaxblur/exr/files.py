@@ -196,6 +196,28 @@ def read_channels(path: PathLike, names: Sequence[str]) -> Float[np.ndarray, "he
         return read_named(source, info, names)
 
 
+def read_values(path: PathLike, name: str) -> np.ndarray:
+    """Read a channel by full name, whole numbers as they are.
+
+    Args:
+        path: an image file.
+        name: full name, as `inspect` lists it.
+
+    Returns:
+        (H, W): uint32 if the channel is of 32-bit integers, else float32 as by `read_channels`.
+
+    Raises:
+        JaxblurIOError: as by `read_channels`.
+    """
+    with open_input(path) as source:
+        info = describe(source, path)
+        channel = info.channel(name)
+        if channel.type != "uint":
+            return read_named(source, info, [name])[..., 0]
+        span = channel.part, channel.index, channel.index + 1
+        return np.asarray(read_span(source, info, *span, "uint"))[..., 0]
+
+
 @contextlib.contextmanager
 def open_input(path: PathLike) -> Iterator[Any]:
     """Open an image with the reader of its extension and close it afterwards.
