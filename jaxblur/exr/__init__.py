@@ -50,6 +50,7 @@ from .cryptomatte import (
     CryptomatteLayer as CryptomatteLayer,
     cryptomatte_layers as cryptomatte_layers,
     identifier_of as identifier_of,
+    identifiers_in as identifiers_in,
     names_in as names_in,
     read_cryptomatte as read_cryptomatte,
 )
