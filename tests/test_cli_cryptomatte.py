@@ -180,6 +180,18 @@ def test_refusals(tmp_path):
     assert "half cannot hold the identifiers" in error
 
 
+def test_an_identifier_that_a_pixel_has_twice_counts_once(tmp_path):
+    """Some renderers split a thing into several ranks."""
+    _, channels = write(tmp_path / "a.exr")
+    hero, share = channels["CryptoObject00.R"], channels["CryptoObject00.G"] / 2
+    split = channels | {"CryptoObject00.G": share, "CryptoObject02.R": hero}
+    split["CryptoObject02.G"] = share
+    source, output = write_single(tmp_path / "b.exr", split, **notes()), tmp_path / "out.exr"
+    blur(source, output, *SIMPLE, "--cryptomatte", "--also", "pass_hero")
+    blurred = exr.read_channels(output, ["pass_hero.Y"])[..., 0]
+    np.testing.assert_allclose(exr.read_cryptomatte(output, "/hero"), blurred, atol=1e-3)
+
+
 def test_another_shutter_blurs_the_ranks_alike(tmp_path):
     source, _ = write(tmp_path / "a.exr")
     output = tmp_path / "out.exr"

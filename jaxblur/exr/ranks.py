@@ -115,25 +115,25 @@ def _ranks(info: FileInfo, layer: CryptomatteLayer, group: ColorGroup) -> Ranks:
         )
     values = read_channels(info.path, layer.channels)
     height, width, _ = values.shape
+    bits = np.ascontiguousarray(values[..., ::2]).view(np.uint32).reshape(height * width, -1)
+    shares = values[..., 1::2].reshape(height * width, -1)
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for rank in range(0, len(layer.channels), 2):
-        share = values[..., rank + 1].ravel()
-        where = np.flatnonzero((share > 0) & np.isfinite(share))
-        bits = np.ascontiguousarray(values[..., rank]).view(np.uint32).ravel()[where]
+    repeats = False
+    for rank in range(bits.shape[1]):
+        share = shares[:, rank]
         # Identifier 0 stands for nothing.
-        there = bits != 0
-        found.append((where[there].astype(np.int32), bits[there], share[where[there]]))
-    pixels, identifiers, coverages = (
-        np.concatenate([entry[i] for entry in found]) for i in range(3)
-    )
-    return _once_each(Ranks(layer, (height, width), pixels, identifiers, coverages))
+        pixels = np.flatnonzero((share > 0) & np.isfinite(share) & (bits[:, rank] != 0))
+        own = bits[pixels, rank]
+        repeats |= any((bits[pixels, before] == own).any() for before in range(rank))
+        found.append((pixels.astype(np.int32), own, share[pixels]))
+    columns = (np.concatenate([entry[i] for entry in found]) for i in range(3))
+    ranks = Ranks(layer, (height, width), *columns)
+    return _once_each(ranks) if repeats else ranks
 
 
 def _once_each(ranks: Ranks) -> Ranks:
     """Add up coverages of one identifier in one pixel, which some renderers list twice."""
     key = ranks.pixels.astype(np.uint64) << np.uint64(32) | ranks.identifiers
-    if len(np.unique(key)) == len(key):
-        return ranks
     keys, places = np.unique(key, return_inverse=True)
     coverages = np.bincount(places.ravel(), ranks.coverages, len(keys)).astype(np.float32)
     pixels = (keys >> np.uint64(32)).astype(np.int32)
