@@ -423,7 +423,8 @@ def _merged(
     """Read a part of the model, replace its color and change further channels."""
     channels = info.parts[plan.part].channels
     old = read_span(source, info, plan.part, 0, len(channels), "float")
-    pixels = np.ascontiguousarray(old[..., plan.keep])
+    is_whole = plan.keep == tuple(range(len(channels)))
+    pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
     _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
     for position in plan.uint:
         index = plan.keep[position]
