@@ -17,6 +17,7 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import printable
 
 from .choose import choose_color, is_depth
+from .chunks import alike, copy_chunks
 from .color import COLORS, Conversion, check_color_space, check_view, conversion_of
 from .files import (
     FileInfo,
@@ -86,7 +87,7 @@ def write_image(
         overwrite: replace an existing file, which must not be ``like``.
         nonfinite: treatment of NaN, and of infinity other than sky in depth, in the channels that
             are copied from ``like``: "keep" them, or replace them by "zero" (in depth by infinity);
-            both give a warning.
+            both give a warning, except for parts that are kept as they are stored.
         unchanged: states of the files that the image was made from, recorded before they were
             read; if one has changed when the new file is complete, that does not appear.
         changes: other values for pixels of further channels of ``like``, such as the ranks of a
@@ -329,10 +330,20 @@ def _write_parts(
     mend: bool,
 ) -> None:
     specs = [plan.spec for plan in plans]
-    with writer(path, temporary, specs) as output:
+    stored = _stored_alike(info, temporary, plans, mend)
+
+    def append() -> None:
+        try:
+            copy_chunks(info.path, temporary, stored)
+        except OSError as error:
+            raise JaxblurIOError(path, f"cannot be written: {error.strerror}.") from error
+
+    with writer(path, temporary, specs, append if stored else None) as output:
         for position, plan in enumerate(plans):
             if position:
                 check(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
+            if plan.part in stored:
+                continue
             if plan.color or plan.changed:
                 pixels = _merged(path, source, info, plan, new, mend)
                 check(path, output, output.write_image(pixels))
@@ -346,6 +357,29 @@ def _write_parts(
         if plan.uint:
             names = [plan.spec.channelnames[index] for index in plan.uint]
             relabel_as_uint(temporary, position, names)
+
+
+def _stored_alike(info: FileInfo, temporary: str, plans: list[_Plan], mend: bool) -> dict[int, int]:
+    """The parts that are copied as they are stored: their positions by their numbers.
+
+    Whether that is possible is found out from a file with the headers alone, since the writer may
+    store a part in another way than asked for.
+    """
+    kept = {
+        plan.part: position
+        for position, plan in enumerate(plans)
+        if not plan.color and not plan.changed and info.parts[plan.part].levels == 1
+    }
+    if not kept or mend or len(plans) == len(kept):
+        return {}
+    output = oiio.ImageOutput.create(temporary)
+    if output is None or not output.open(temporary, tuple(plan.spec for plan in plans)):
+        # The writer gives the reason.
+        pending_message(output)
+        return {}
+    output.close()
+    pending_message(output)
+    return {old: new for old, new in kept.items() if alike(info.path, temporary, {old: new})}
 
 
 def _report_storage(info: FileInfo, temporary: str, plans: list[_Plan]) -> None:
@@ -525,7 +559,8 @@ def _clamp_half(path: PathLike, values: np.ndarray) -> np.ndarray:
             JaxblurIOWarning,
             stacklevel=4,
         )
-    return np.clip(values, -HALF_MAX, HALF_MAX)
+        return np.clip(values, -HALF_MAX, HALF_MAX)
+    return values
 
 
 def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
