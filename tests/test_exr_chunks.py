@@ -51,7 +51,9 @@ def test_other_parts_are_copied_bit_for_bit(tmp_path, copies, compression, tile)
     exr.write_image(tmp_path / "o.exr", image, like=source)
     for part in (0, 2):
         (spec, old), (written, new) = (read_raw(tmp_path / p, part) for p in ("a.exr", "o.exr"))
-        np.testing.assert_array_equal(old.view(np.uint32), new.view(np.uint32))
+        np.testing.assert_array_equal(
+            np.asarray(old).view(np.uint32), np.asarray(new).view(np.uint32)
+        )
         assert spec.tile_width == written.tile_width
     stored = exr.read_channels(tmp_path / "o.exr", ["rgb.R", "rgb.G", "rgb.B"])
     np.testing.assert_allclose(stored, image, atol=1e-3)
@@ -85,4 +87,5 @@ def test_non_finite_values_are_repaired_on_request(tmp_path, copies):
         exr.write_image(
             tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source, nonfinite="zero"
         )
-    assert not copies and np.isfinite(read_raw(tmp_path / "o.exr", 0)[1]).all()
+    stored = exr.read_channels(tmp_path / "o.exr", ["id.X", "id.Y"])
+    assert not copies and np.isfinite(stored).all()

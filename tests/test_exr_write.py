@@ -358,11 +358,8 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
         out = tmp_path / f"{policy}.exr"
         # A part of its own is kept as it is stored, without a look at it.
         looks = parts == 1 or policy == "zero"
-        with (
-            pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}"))
-            if looks
-            else (contextlib.nullcontext())
-        ):
+        report = pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}"))
+        with report if looks else contextlib.nullcontext():
             exr.write_image(out, image, like=source, nonfinite=policy)
         stored = exr.read_channels(out, [f"{prefix}velocity.X", f"{prefix}Z"])
         np.testing.assert_equal(stored[1, 2, 0], np.float32(value))

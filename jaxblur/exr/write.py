@@ -456,6 +456,12 @@ def _merged(
 ) -> np.ndarray:
     """Read a part of the model, replace its color and change further channels."""
     channels = info.parts[plan.part].channels
+    if len(plan.color) == len(plan.keep) and len(plan.half) in (0, len(plan.keep)):
+        # Nothing of the model is left.
+        order = [channel for _, channel in plan.color]
+        is_all = order == list(range(new.image.shape[2]))
+        pixels = np.ascontiguousarray(new.image if is_all else new.image[..., order])
+        return _clamp_half(path, pixels) if plan.half else pixels
     old = read_span(source, info, plan.part, 0, len(channels), "float")
     is_whole = plan.keep == tuple(range(len(channels)))
     pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
@@ -471,7 +477,9 @@ def _merged(
         for index, name in enumerate(change.channels):
             if name in plan.changed:
                 flat[change.pixels, plan.changed[name]] = change.values[:, index]
-    pixels[..., plan.half] = _clamp_half(path, pixels[..., plan.half])
+    half = pixels[..., plan.half]
+    if (clamped := _clamp_half(path, half)) is not half:
+        pixels[..., plan.half] = clamped
     return pixels
 
 
