@@ -21,7 +21,7 @@ from .arguments import (
     file_path,
     positive_number,
 )
-from .compute import start_jax
+from .compute import add_threads_option, limited_threads, start_jax
 from .console import print_line, print_table
 from .filtering import (
     CHOICES,
@@ -81,6 +81,7 @@ def add_parser(commands: Any) -> None:
     _add_neighbor_options(parser)
     _add_color_options(parser)
     add_compute_options(parser)
+    add_threads_option(parser)
     group = add_filter_options(parser)
     add_quality_option(group)
     add_seed_option(group)
@@ -183,10 +184,11 @@ def run(arguments: argparse.Namespace) -> int:
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
         require_shutter(asked.name, option_of(arguments))
-    if sequence.is_asked_for(arguments):
-        return sequence.run(arguments, asked)
-    sequence.refuse_options(arguments)
-    return _run_single(arguments, asked)
+    with limited_threads(arguments.threads):
+        if sequence.is_asked_for(arguments):
+            return sequence.run(arguments, asked)
+        sequence.refuse_options(arguments)
+        return _run_single(arguments, asked)
 
 
 def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:

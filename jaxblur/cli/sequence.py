@@ -49,6 +49,7 @@ NOT_A_CHOICE = frozenset(
             "isolate",
             "memory",
             "time_limit",
+            "threads",
             "fps",
             "require_motion",
         ),
