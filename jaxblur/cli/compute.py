@@ -66,8 +66,8 @@ def add_threads_option(parser: Any) -> None:
         "--threads",
         type=positive_integer,
         metavar="N",
-        help="use N processor cores at most, for reading, filter and writing together (default all; "
-        "Linux only)",
+        help="processor cores that reading, filter and writing use together (default all; Linux "
+        "only)",
     )
 
 
