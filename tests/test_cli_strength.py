@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxblur import exr
+from jaxblur.exr.header import relabel_as_uint
 from tests.command_line import refused, run
 from tests.exr_files import make_spec, plain_frame, read_raw, read_stored, write_parts, write_single
 
@@ -175,6 +176,36 @@ def test_identifiers_mattes_and_maps(tmp_path):
     both = blurred(path, "--scale-motion", "id:id:3=0.25", "--scale-motion", "2")
     np.testing.assert_allclose(both[~HERO], half[~HERO], atol=1e-6)
     assert note(tmp_path / "out.exr") == "scaled id:id:3=0.25; scaled 2"
+
+
+def test_identifiers_in_whole_numbers(tmp_path):
+    channels = frame() | {"id": np.where(HERO, 4_000_000_001, 4_000_000_002).astype(np.uint32)}
+    types = ["float"] * (len(channels) - 1)
+    bits = {**channels, "id": channels["id"].view(np.float32)}
+    path = write_single(tmp_path / "a.exr", bits, [*types, "float"])
+    relabel_as_uint(str(path), 0, ["id"])
+    assert exr.inspect(path).channel("id").type == "uint"
+    image = blurred(path, "--scale-motion", "id:id:4000000001=0")
+    np.testing.assert_array_equal(image[HERO], exr.read_image(path)[HERO])
+    assert (image[~HERO] != exr.read_image(path)[~HERO]).any()
+
+
+def test_what_no_pixel_has_is_a_warning_and_nothing_at_all_an_error(tmp_path):
+    notes = crypto_notes(("/hero", "/set/ground", "/away"))
+    path = write_crypto(tmp_path / "a.0001.exr", notes=notes)
+    write_crypto(tmp_path / "a.0002.exr", notes=notes)
+    away, hero = ("--scale-motion", "crypto:/away=0"), ("--scale-motion", "crypto:/hero=0")
+    command = ("blur", path, "-o", tmp_path / "out.exr", "--overwrite", *BLUR)
+    outcome = run(*command, *away, *hero)
+    assert outcome.status == 0
+    assert "no pixel has crypto:/away; there are /set/ground, /hero." in outcome.err
+    outcome = run(*command, *hero, "--scale-motion", "id:Z:5=0")
+    assert outcome.status == 0 and "no pixel has id:Z:5; there are 4, 9." in outcome.err
+    assert "none is for any pixel of" in refused(*command, *away)
+    names = ("blur", tmp_path / "a.####.exr", "-o", tmp_path / "o.####.exr", "--overwrite", *BLUR)
+    outcome = run(*names, *away)
+    assert outcome.status == 1 and "none is for any pixel of any frame" in outcome.err
+    assert run(*names, *away, *hero).status == 0
 
 
 def test_mattes_may_be_in_a_file_of_their_own(tmp_path):

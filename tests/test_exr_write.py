@@ -1,5 +1,6 @@
 """Writing images: contents kept from the model file, and files that are complete or absent."""
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -355,7 +356,10 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
     )
     for policy, words, value in policies:
         out = tmp_path / f"{policy}.exr"
-        with pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}")):
+        # A part of its own is kept as it is stored, without a look at it.
+        looks = parts == 1 or policy == "zero"
+        report = pytest.warns(exr.JaxblurIOWarning, match=re.escape(f"{names}, {words}"))
+        with report if looks else contextlib.nullcontext():
             exr.write_image(out, image, like=source, nonfinite=policy)
         stored = exr.read_channels(out, [f"{prefix}velocity.X", f"{prefix}Z"])
         np.testing.assert_equal(stored[1, 2, 0], np.float32(value))
@@ -408,11 +412,11 @@ def test_compression_that_the_library_cannot_write_is_reported(tmp_path, monkeyp
     source = write_single(tmp_path / "in.exr", plain_frame(), compression="piz")
     writer = exr.write.writer
 
-    def without_piz(path, temporary, specs):
+    def without_piz(path, temporary, specs, finish=None):
         others = [oiio.ImageSpec(spec) for spec in specs]
         for spec in others:
             spec.attribute("compression", "zips")
-        return writer(path, temporary, others)
+        return writer(path, temporary, others, finish)
 
     monkeypatch.setattr(exr.write, "writer", without_piz)
     with pytest.warns(exr.JaxblurIOWarning, match=r"in.exr: part 0 is stored with zips, .* piz"):

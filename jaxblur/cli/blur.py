@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, results, sequence, stages, strength
+from . import isolation, mattes, results, sequence, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -21,7 +21,7 @@ from .arguments import (
     file_path,
     positive_number,
 )
-from .compute import start_jax
+from .compute import add_threads_option, limited_threads, start_jax
 from .console import print_line, print_table
 from .filtering import (
     CHOICES,
@@ -72,6 +72,7 @@ def add_parser(commands: Any) -> None:
         "--drop-extra", action="store_true", help="write the color alone, not the other channels"
     )
     strength.add_pass_options(parser)
+    mattes.add_option(parser)
     parser.add_argument(
         "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
     )
@@ -80,6 +81,7 @@ def add_parser(commands: Any) -> None:
     _add_neighbor_options(parser)
     _add_color_options(parser)
     add_compute_options(parser)
+    add_threads_option(parser)
     group = add_filter_options(parser)
     add_quality_option(group)
     add_seed_option(group)
@@ -177,14 +179,16 @@ def run(arguments: argparse.Namespace) -> int:
     _check_motion(arguments)
     _check_colors(arguments)
     strength.check(arguments)
+    mattes.check(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
         require_shutter(asked.name, option_of(arguments))
-    if sequence.is_asked_for(arguments):
-        return sequence.run(arguments, asked)
-    sequence.refuse_options(arguments)
-    return _run_single(arguments, asked)
+    with limited_threads(arguments.threads):
+        if sequence.is_asked_for(arguments):
+            return sequence.run(arguments, asked)
+        sequence.refuse_options(arguments)
+        return _run_single(arguments, asked)
 
 
 def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
@@ -201,14 +205,19 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
             exr.refuse_overwrite(output, source)
     stages.warn_of_double_blur(arguments)
     check_outputs(outputs, arguments.overwrite)
+    mattes.warn_of_sharp(arguments, arguments.input)
     started = time.perf_counter()
     with remarks_once():
         loaded = _load(arguments, asked)
         parts = _load_subframes(arguments, asked, loaded)
     read = time.perf_counter()
+    if not loaded.selects:
+        raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
 
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
+    changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
+    loaded = dataclasses.replace(loaded, changes=changes)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)

@@ -1,13 +1,17 @@
-"""Load jax, after every check that does not need it."""
+"""Load jax, after every check that does not need it, and limit the cores that are used."""
 
 import atexit
+import contextlib
 import functools
 import gc
 import logging
 import os
+from collections.abc import Iterator
+from typing import Any
 
 from jaxblur._util.cache import UnsafeFolderError, private_folder, remove_bad_entries, trim_cache
 
+from .arguments import CommandError, positive_integer
 from .interrupts import held_back
 
 LOG = logging.getLogger("jaxblur")
@@ -54,3 +58,51 @@ def start_jax(compile_cache: bool) -> None:
     trim_cache()
     jax.config.update("jax_compilation_cache_dir", os.fspath(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+
+
+def add_threads_option(parser: Any) -> None:
+    """Add the option for the number of cores; `limited_threads` takes it."""
+    parser.add_argument(
+        "--threads",
+        type=positive_integer,
+        metavar="N",
+        help="processor cores that reading, filter and writing use together (default all; Linux "
+        "only)",
+    )
+
+
+@contextlib.contextmanager
+def limited_threads(count: int | None) -> Iterator[None]:
+    """Keep all threads of this process, and processes that it starts, on some cores.
+
+    Libraries start threads of their own, of which not all heed a setting; the system does.
+
+    Args:
+        count: number of cores; None for no limit.
+
+    Raises:
+        CommandError: the system cannot do that.
+    """
+    if count is None:
+        yield
+        return
+    if not hasattr(os, "sched_setaffinity"):
+        raise CommandError("--threads: this system has no such limit; leave it out.")
+    import OpenImageIO as oiio
+
+    before, threads = os.sched_getaffinity(0), oiio.get_int_attribute("threads")
+    _keep_on(set(sorted(before)[:count]))
+    oiio.attribute("threads", min(count, threads or count))
+    try:
+        yield
+    finally:
+        oiio.attribute("threads", threads)
+        _keep_on(before)
+
+
+def _keep_on(cores: set[int]) -> None:
+    """Move every thread of this process; those that they start stay there too."""
+    for thread in map(int, os.listdir("/proc/self/task")):
+        # It may have ended.
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setaffinity(thread, cores)

@@ -23,6 +23,7 @@ from .arguments import (
 from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
 from .filtering import DEFAULT_FILTER
+from .names import names_of, print_names
 from .sequence import FAILED, frames_on_disk
 from .sources import add_channel_options, add_vector_options
 
@@ -128,12 +129,14 @@ def _list(arguments: argparse.Namespace, before: _Before) -> int:
     bad = {name: count for name, count in exr.count_not_finite(info.path).items() if count}
     motion = _motion(info, arguments)
     picture = _picture(info, arguments, motion.get("channels", ()))
-    shown_as = _shown_as(info, picture)
+    shown_as, mattes = _shown_as(info, picture), names_of(info)
     if arguments.json:
         listing: dict[str, Any] = {"path": info.path, "views": list(exr.views_of(info))}
         listing["parts"] = [_as_json(part) for part in info.parts]
         if shown_as:
             listing["shown_as"] = shown_as
+        if mattes:
+            listing["cryptomatte"] = mattes
         print(json.dumps(listing | {"not_finite": bad} | picture | {"motion": motion}, indent=2))
         return 0
     kind = _kind(info, picture, motion, shown_as)
@@ -155,6 +158,7 @@ def _list(arguments: argparse.Namespace, before: _Before) -> int:
         print_line(f"shown as: {shown_as}")
     _print_motion(motion)
     _explain_radius(motion, arguments.radius)
+    print_names(mattes, every=bool(arguments.verbose))
     return 0
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import jaxblur
 
-from . import results, stages, strength
+from . import mattes, results, stages, strength
 from .arguments import CommandError, frame_numbers, in_option_names, positive_integer
 from .compute import start_jax
 from .console import print_line, print_table
@@ -49,9 +49,12 @@ NOT_A_CHOICE = frozenset(
             "isolate",
             "memory",
             "time_limit",
+            "threads",
             "fps",
             "require_motion",
         ),
+        # Cryptomattes count by whether they are blurred.
+        "cryptomatte",
         # Neighbors count by whether they are used; the others are for single frames.
         *("neighbors", "before", "after", "subframes"),
         # The exposure counts by its times and its points.
@@ -176,6 +179,7 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     settle_convention(arguments, sources)
     neighbors = _uses_neighbors(arguments, asked)
     choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
+    choices |= {"cryptomatte": True} if arguments.cryptomatte else {}
     plan = plan_jobs(
         *(frames, sources, outputs, choices),
         overwrite=arguments.overwrite,
@@ -185,6 +189,8 @@ def run(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     if arguments.dry_run:
         return _print_plan(plan, arguments.json)
     _refuse(plan, sources["input"])
+    if todo := plan.with_action("blur"):
+        mattes.warn_of_sharp(arguments, todo[0].inputs["input"])
     return _Run(arguments, asked, plan).run()
 
 
@@ -267,6 +273,8 @@ class FrameWork:
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
                 blurred = stages.blur(chosen, loaded, self._at(job).seed)
+                changes = mattes.blur(chosen, loaded, self._at(job).seed, [loaded])
+            loaded = dataclasses.replace(loaded, changes=changes)
             return loaded.without_neighbor_pixels(), chosen, blurred
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:
@@ -285,6 +293,7 @@ class FrameWork:
         sides = {"before": job.frame - 1, "after": job.frame + 1}
         used = loaded.neighbors if stages.NEIGHBORS in notes else ()
         return {
+            "selects": loaded.selects,
             "mean_speed": loaded.mean_speed,
             "filter": chosen.name,
             "neighbors": [sides[side] for side in used],
@@ -333,6 +342,7 @@ class _Run:
 
     def __init__(self, arguments: argparse.Namespace, asked: stages.Choice, plan: Any):
         self.arguments, self.asked, self.plan = arguments, asked, plan
+        self.selects: list[bool] = []
         self.records = {job.frame: _record(job) for job in plan.jobs}
 
     def run(self) -> int:
@@ -347,7 +357,14 @@ class _Run:
         self._leave_result()
         same = self.arguments.allow_resize or not self._resized()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
-        return 0 if done and same else FAILED
+        return 0 if done and same and self._selects_something() else FAILED
+
+    def _selects_something(self) -> bool:
+        """Whether a scale of the motion is for any pixel of any frame; if not, that is reported."""
+        if any(self.selects) or len(self.selects) < len(self.plan.jobs):
+            return True
+        LOG.error("%s of any frame.", strength.SELECTS_NOTHING)
+        return False
 
     def _done(self) -> list[Any]:
         """The jobs whose outputs exist."""
@@ -411,6 +428,7 @@ class _Run:
             for level, text in outcome.messages:
                 LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))
         if outcome.error is None:
+            self.selects.append(outcome.result.pop("selects"))
             record |= outcome.result
             record["status"] = "written"
             times = ", ".join(f"{stage} {t:.2f}" for stage, t in outcome.seconds.items())

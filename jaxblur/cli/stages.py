@@ -60,12 +60,16 @@ class Source(NamedTuple):
         buffers: as `jaxblur.exr.read_buffers` gives them.
         states: a `jaxblur.exr.FileStates` of the files, from before they were read.
         motion: how its motion was changed, in words; see `strength.apply`.
+        ranks: a `jaxblur.exr.Ranks` of each Cryptomatte layer, if they are to be blurred.
+        selects: whether ``--scale-motion`` is for any pixel; see `strength.Changed`.
     """
 
     path: pathlib.Path
     buffers: Any
     states: Any
     motion: str = ""
+    ranks: tuple[Any, ...] = ()
+    selects: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +87,9 @@ class Loaded:
         shutter: exposure, in units of the time from one neighbor to the frame.
         exposure: a `.shutter.Exposure`; None for a box centered on the frame.
         motion: how its motion was changed, in words.
+        ranks: of `Source`.
+        changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
+        selects: of `Source`.
     """
 
     buffers: Any
@@ -95,6 +102,9 @@ class Loaded:
     shutter: float = 0.5
     exposure: Exposure | None = None
     motion: str = ""
+    ranks: tuple[Any, ...] = ()
+    changes: tuple[Any, ...] = ()
+    selects: bool = True
 
     def picture(self, blurred: Any) -> Any:
         """The blurred picture, without further passes."""
@@ -108,8 +118,10 @@ class Loaded:
 
     def without_neighbor_pixels(self) -> "Loaded":
         """The frame for what follows the filter, in less memory."""
-        names = {side: source._replace(buffers=None) for side, source in self.neighbors.items()}
-        return dataclasses.replace(self, neighbors=names)
+        names = {
+            side: source._replace(buffers=None, ranks=()) for side, source in self.neighbors.items()
+        }
+        return dataclasses.replace(self, neighbors=names, ranks=())
 
 
 def check_output(output: pathlib.Path) -> None:
@@ -144,8 +156,13 @@ def read(arguments: argparse.Namespace) -> Source:
     mattes = getattr(arguments, "matte_from", None)
     files = (arguments.input, arguments.velocity_from, arguments.depth_from, mattes)
     states = exr.FileStates.of(path for path in files if path is not None)
-    buffers, motion = strength.apply(arguments, sources.read(arguments))
-    return Source(arguments.input, buffers, states, motion)
+    buffers, motion, selects = strength.apply(arguments, sources.read(arguments))
+    ranks = ()
+    if getattr(arguments, "cryptomatte", None):
+        group = exr.ColorGroup("", buffers.color_channels, None)
+        ranks = exr.read_ranks(arguments.input, group)
+        LOG.info("Cryptomattes: %s", ", ".join(each.layer.name for each in ranks))
+    return Source(arguments.input, buffers, states, motion, ranks, selects)
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -186,6 +203,8 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         shutter=arguments.shutter,
         exposure=exposure,
         motion=source.motion,
+        ranks=source.ranks,
+        selects=source.selects,
     )
 
 
@@ -195,8 +214,10 @@ def mismatch(loaded: Loaded, source: Source) -> str:
         buffers.color.shape for buffers in (loaded.buffers, source.buffers)
     )
     if (height, width, channels) == (rows, columns, others):
-        passes = loaded.buffers.pass_channels
-        return "" if source.buffers.pass_channels == passes else "has other color passes"
+        if source.buffers.pass_channels != loaded.buffers.pass_channels:
+            return "has other color passes"
+        names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
+        return "" if names == others else "has other Cryptomattes"
     return (
         f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
         f"{width}x{height} and {channels}"
@@ -386,6 +407,7 @@ def write(
             color_channels=channels,
             nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
             unchanged=unchanged,
+            changes=loaded.changes,
         )
 
 
@@ -411,7 +433,10 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
     now = (
         set()
         if chosen.name == PASSED_THROUGH
-        else {*buffers.color_channels, *buffers.pass_channels}
+        else {
+            *(*buffers.color_channels, *buffers.pass_channels),
+            *(name for change in loaded.changes for name in change.channels),
+        }
     )
     return {
         "jaxblur:version": jaxblur.__version__,
@@ -433,7 +458,11 @@ def warn_of_double_blur(arguments: argparse.Namespace) -> None:
     info = exr.inspect(path)
     found = exr.choose_color(info, arguments.layer, arguments.color_channels)
     passes = exr.choose_passes(info, found, strength.passes_of(arguments), arguments.layer)
-    earlier, names = _blurred_before(path), (*found.channels, *passes)
+    mattes: list[Any] = []
+    if getattr(arguments, "cryptomatte", None):
+        mattes = exr.layers_of_picture(info, found)
+    earlier = _blurred_before(path)
+    names = (*found.channels, *passes, *(name for layer in mattes for name in layer.channels))
     for name in dict.fromkeys(earlier[name] for name in names if name in earlier):
         LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
 

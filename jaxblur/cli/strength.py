@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import logging
-import math
 import pathlib
 import re
 from collections.abc import Sequence
@@ -12,34 +11,16 @@ from typing import Any, NamedTuple
 from jaxblur._util.text import nearest
 
 from .arguments import CommandError, channel_names, file_path, from_zero
+from .selections import FORMS, parse_scale, select, size_of
 
 LOG = logging.getLogger("jaxblur")
 
-KINDS = ("crypto", "id", "matte", "map")
-FORMS = "0.5, crypto:NAME=0.5, id:CHANNEL:VALUE=0.5, matte:CHANNEL=0.5 or map:CHANNEL"
 LIMITS = ("valve",)
 """Keys of `jaxblur.MOTION_LIMITS`, which loads jax."""
 SOURCES = ("auto", "header", "fit")
+SELECTS_NOTHING = "--scale-motion: none is for any pixel"
 AGREEMENT = 0.9
 """Least share of the far surfaces that a fitted camera must move, as for ``--sky camera``."""
-
-
-class Scale(NamedTuple):
-    """One ``--scale-motion``.
-
-    Attributes:
-        kind: one of `KINDS`, or "" for everything.
-        name: of a thing or a channel.
-        value: of an identifier, in its channel.
-        factor: 1 changes nothing; None for a map.
-        text: as given.
-    """
-
-    kind: str
-    name: str
-    value: float | None
-    factor: float | None
-    text: str
 
 
 class Limit(NamedTuple):
@@ -57,7 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--scale-motion",
-        type=_scale,
+        type=parse_scale,
         action="append",
         default=[],
         metavar="WHAT=FACTOR",
@@ -159,7 +140,21 @@ def looks_at_neighbors(arguments: argparse.Namespace) -> bool:
     return not _keeps_camera(arguments) and arguments.camera in (None, "auto", "header")
 
 
-def apply(arguments: argparse.Namespace, buffers: Any) -> tuple[Any, str]:
+class Changed(NamedTuple):
+    """A frame with another motion.
+
+    Attributes:
+        buffers: as `jaxblur.exr.read_buffers` gives them.
+        words: what was done; empty if nothing was.
+        selects: False if every ``--scale-motion`` names something that no pixel shows.
+    """
+
+    buffers: Any
+    words: str
+    selects: bool
+
+
+def apply(arguments: argparse.Namespace, buffers: Any) -> Changed:
     """Change the motion of a frame as the options say.
 
     Args:
@@ -167,29 +162,30 @@ def apply(arguments: argparse.Namespace, buffers: Any) -> tuple[Any, str]:
         buffers: as `jaxblur.exr.read_buffers` gives them.
 
     Returns:
-        Buffers with another motion, and what was done, in words; empty if nothing was.
+        The frame with another motion.
 
     Raises:
         CommandError: the camera's motion cannot be found.
         JaxblurIOError: a channel, a name or a matrix is missing or wrong.
     """
     if not _given(arguments) or _number(arguments.input) in (arguments.cut or ()):
-        return buffers, ""
+        return Changed(buffers, "", True)
     import numpy as np
 
     import jaxblur
 
-    frame, words = buffers.frame(), []
+    frame, words, matches = buffers.frame(), [], []
     if not _keeps_camera(arguments):
         frame, said = _with_camera(arguments, buffers, frame)
         words.append(said)
     source = arguments.matte_from or arguments.input
     for scale in arguments.scale_motion:
-        factors = _factors(source, scale)
+        factors, chosen = select(source, scale)
+        matches.append(chosen)
         if np.shape(factors) not in ((), buffers.depth.shape):
             raise CommandError(
-                f"--scale-motion {scale.text}: {source} has {_size(factors)} pixels, but "
-                f"{arguments.input} has {_size(buffers.depth)}; render both with the same data "
+                f"--scale-motion {scale.text}: {source} has {size_of(factors)} pixels, but "
+                f"{arguments.input} has {size_of(buffers.depth)}; render both with the same data "
                 "window."
             )
         frame = jaxblur.scale_motion(frame, factors)
@@ -205,7 +201,7 @@ def apply(arguments: argparse.Namespace, buffers: Any) -> tuple[Any, str]:
     changed = dataclasses.replace(buffers, velocity=np.asarray(frame.velocity), path=path)
     text = "; ".join(words)
     LOG.info("motion: %s: %s", arguments.input, text)
-    return changed, text
+    return Changed(changed, text, any(matches) or not matches)
 
 
 def _given(arguments: argparse.Namespace) -> list[str]:
@@ -374,37 +370,6 @@ def _compare(arguments: argparse.Namespace, frame: Any, path: Any) -> None:
         )
 
 
-def _factors(source: pathlib.Path, scale: Scale) -> Any:
-    """A factor, or one for each pixel."""
-    import numpy as np
-
-    from jaxblur import exr
-
-    if not scale.kind:
-        return scale.factor
-    if scale.kind == "crypto":
-        share = exr.read_cryptomatte(source, scale.name)
-    else:
-        info = exr.inspect(source)
-        if scale.name not in info.channel_names:
-            names = ", ".join(info.channel_names)
-            raise CommandError(
-                f"--scale-motion {scale.text}: {source} has no channel "
-                f"{scale.name}{nearest(scale.name, info.channel_names)}; it holds {names}."
-            )
-        share = exr.read_channels(source, [scale.name])[..., 0]
-    if not np.isfinite(share).all():
-        raise CommandError(f"--scale-motion {scale.text}: NaN or infinity in {source}; repair it.")
-    if scale.kind == "map":
-        return share
-    if scale.kind == "id":
-        if not (found := share == np.float32(scale.value)).any():
-            LOG.info("motion: %s: no pixel has %s", source, scale.text.rpartition("=")[0])
-        share = found
-    # Parsing gives every other kind a factor.
-    return 1 + share * ((scale.factor or 0.0) - 1)
-
-
 def _camera_file(arguments: argparse.Namespace) -> pathlib.Path | None:
     return arguments.camera if isinstance(arguments.camera, pathlib.Path) else None
 
@@ -422,52 +387,6 @@ def _numbered(path: pathlib.Path, number: int) -> pathlib.Path:
     return path.with_name(
         path.stem[: found.start()] + digits + path.stem[found.end() :] + path.suffix
     )
-
-
-def _size(values: Any) -> str:
-    height, width = values.shape
-    return f"{width}x{height}"
-
-
-def _scale(text: str) -> Scale:
-    """Parse ``--scale-motion``.
-
-    Raises:
-        ArgumentTypeError: it is none of `FORMS`.
-    """
-    kind, colon, rest = text.partition(":")
-    if not colon:
-        return Scale("", "", None, _factor(text, text), text)
-    if kind not in KINDS:
-        raise argparse.ArgumentTypeError(f"expected {FORMS}, got {text!r}{nearest(kind, KINDS)}")
-    if kind == "map":
-        if not rest or "=" in rest:
-            raise argparse.ArgumentTypeError(
-                f"expected map:CHANNEL, whose values are factors, got {text!r}"
-            )
-        return Scale(kind, rest, None, None, text)
-    name, equals, number = rest.rpartition("=")
-    if not equals or not name:
-        raise argparse.ArgumentTypeError(f"expected {FORMS}, got {text!r}")
-    factor, value = _factor(number, text), None
-    if kind == "id":
-        name, _, written = name.rpartition(":")
-        try:
-            value = float(written)
-        except ValueError:
-            value = math.nan
-        if not name or not math.isfinite(value):
-            raise argparse.ArgumentTypeError(f"expected id:CHANNEL:VALUE=FACTOR, got {text!r}")
-    return Scale(kind, name, value, factor, text)
-
-
-def _factor(written: str, text: str) -> float:
-    try:
-        return from_zero(written)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(
-            f"expected {FORMS}, with a factor from 0, got {text!r}"
-        ) from error
 
 
 def _share(text: str) -> float:

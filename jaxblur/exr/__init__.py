@@ -23,6 +23,7 @@ and, where there is alpha, premultiplied; it is neither clipped nor converted. O
 """
 
 from .._util.errors import JaxblurIOError as JaxblurIOError
+from .blurred_ranks import PLANES as PLANES, blur_ranks as blur_ranks
 from .cameras import (
     CameraFile as CameraFile,
     CameraView as CameraView,
@@ -49,6 +50,8 @@ from .cryptomatte import (
     CryptomatteLayer as CryptomatteLayer,
     cryptomatte_layers as cryptomatte_layers,
     identifier_of as identifier_of,
+    identifiers_in as identifiers_in,
+    names_in as names_in,
     read_cryptomatte as read_cryptomatte,
 )
 from .files import (
@@ -59,8 +62,16 @@ from .files import (
     Part as Part,
     inspect as inspect,
     read_channels as read_channels,
+    read_values as read_values,
 )
 from .passes import choose_passes as choose_passes
+from .ranks import (
+    ChannelChange as ChannelChange,
+    Ranks as Ranks,
+    layers_of_picture as layers_of_picture,
+    read_ranks as read_ranks,
+    unchanged_ranks as unchanged_ranks,
+)
 from .read import (
     DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,

@@ -117,6 +117,50 @@ def read_cryptomatte(path: PathLike, name: str) -> Float[np.ndarray, "height wid
     return matte
 
 
+def names_in(path: PathLike) -> list[str]:
+    """The names of what a frame shows, in the order of the pixels that show most of it.
+
+    Args:
+        path: EXR file.
+
+    Returns:
+        Names by the manifest, identifiers as in ``<1a2b3c4d>`` where it lists none; of all layers.
+
+    Raises:
+        JaxblurIOError: see `cryptomatte_layers`.
+    """
+    names: list[str] = []
+    for layer in cryptomatte_layers(path):
+        known = {identifier: name for name, identifier in layer.manifest.items()}
+        names += [known.get(number, f"<{number:08x}>") for number in identifiers_in(layer)]
+    return list(dict.fromkeys(names))
+
+
+def identifiers_in(layer: CryptomatteLayer) -> list[int]:
+    """The identifiers of a layer that pixels have, the most frequent first.
+
+    Args:
+        layer: of `cryptomatte_layers`.
+
+    Returns:
+        They; of channels that cannot hold identifiers none.
+
+    Raises:
+        JaxblurIOError: pixels cannot be read.
+    """
+    info, counts = inspect(layer.path), dict[int, int]()
+    pairs = zip(layer.channels[::2], layer.channels[1::2], strict=True)
+    for pair in pairs:
+        if info.channel(pair[0]).type != "float":
+            return []
+        values = read_channels(layer.path, pair)
+        bits = np.ascontiguousarray(values[..., 0]).view(np.uint32)[values[..., 1] > 0]
+        for number, count in zip(*np.unique(bits, return_counts=True), strict=True):
+            counts[int(number)] = counts.get(int(number), 0) + int(count)
+    counts.pop(0, None)
+    return sorted(counts, key=lambda number: -counts[number])
+
+
 def identifier_of(name: str) -> int:
     """The identifier of a name: its hash, with an exponent that is that of a normal float.
 

@@ -5,7 +5,7 @@ import dataclasses
 import math
 import os
 import pathlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -194,6 +194,77 @@ def read_channels(path: PathLike, names: Sequence[str]) -> Float[np.ndarray, "he
     with open_input(path) as source:
         info = describe(source, path)
         return read_named(source, info, names)
+
+
+def read_together(
+    requests: Sequence[tuple[FileInfo, Sequence[str]]],
+) -> list[Float[np.ndarray, "height width names"]]:
+    """Read several groups of channels, of one file or of several, each part once.
+
+    Compressed pixels hold all channels of some rows, so that one read of a part takes as long as
+    one of a single channel of it.
+
+    Args:
+        requests: listing of a file and full names, for each group.
+
+    Returns:
+        For each group (H, W, number of names) float32, as `read_channels` gives it.
+
+    Raises:
+        JaxblurIOError: as by `read_channels`.
+    """
+    results: dict[int, np.ndarray] = {}
+    for path in dict.fromkeys(info.path for info, _ in requests):
+        own = [index for index, (info, _) in enumerate(requests) if info.path == path]
+        info = requests[own[0]][0]
+        groups = {index: [info.channel(name) for name in requests[index][1]] for index in own}
+        with open_input(path) as source:
+            read: dict[int, tuple[int, np.ndarray]] = {}
+            for part in sorted({c.part for channels in groups.values() for c in channels}):
+                used = {c.index for channels in groups.values() for c in channels if c.part == part}
+                begin, end = min(used), max(used) + 1
+                # Wide gaps would take more memory than the time is worth.
+                if end - begin <= 2 * len(used):
+                    read[part] = begin, read_span(source, info, part, begin, end, "float")
+            for index, channels in groups.items():
+                _common_window(info, channels)
+                if all(channel.part in read for channel in channels):
+                    results[index] = _gathered(read, channels)
+                else:
+                    results[index] = read_named(source, info, requests[index][1])
+    return [results[index] for index in range(len(requests))]
+
+
+def _gathered(read: Mapping[int, tuple[int, np.ndarray]], channels: Sequence[Channel]) -> Any:
+    """Channels out of pixels of parts, each with the number of its first channel."""
+    (begin, pixels), first = read[channels[0].part], channels[0].index
+    places = [(channel.part, channel.index) for channel in channels]
+    if places == [(channels[0].part, first + k) for k in range(len(channels))]:
+        return np.ascontiguousarray(pixels[..., first - begin : first - begin + len(channels)])
+    planes = [read[c.part][1][..., c.index - read[c.part][0]] for c in channels]
+    return np.stack(planes, axis=-1)
+
+
+def read_values(path: PathLike, name: str) -> np.ndarray:
+    """Read a channel by full name, whole numbers as they are.
+
+    Args:
+        path: an image file.
+        name: full name, as `inspect` lists it.
+
+    Returns:
+        (H, W): uint32 if the channel is of 32-bit integers, else float32 as by `read_channels`.
+
+    Raises:
+        JaxblurIOError: as by `read_channels`.
+    """
+    with open_input(path) as source:
+        info = describe(source, path)
+        channel = info.channel(name)
+        if channel.type != "uint":
+            return read_named(source, info, [name])[..., 0]
+        span = channel.part, channel.index, channel.index + 1
+        return np.asarray(read_span(source, info, *span, "uint"))[..., 0]
 
 
 @contextlib.contextmanager

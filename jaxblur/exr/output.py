@@ -1,7 +1,7 @@
 """Write through OpenImageIO, with checks that opening, writing and closing succeeded."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import OpenImageIO as oiio
@@ -13,13 +13,19 @@ PNG_END = b"IEND\xaeB`\x82"
 
 
 @contextlib.contextmanager
-def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any]:
+def writer(
+    path: PathLike,
+    temporary: str,
+    specs: Sequence[Any],
+    finish: Callable[[], None] | None = None,
+) -> Iterator[Any]:
     """Open a writer for one or several parts; check opening and closing.
 
     Args:
         path: the final name, for messages.
         temporary: the file to write.
         specs: headers of the parts.
+        finish: called when the file is closed, to add what is missing.
 
     Yields:
         An ``OpenImageIO.ImageOutput``, open for the first part.
@@ -43,6 +49,8 @@ def writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any
         pending_message(output)
         raise
     check(path, output, output.close())
+    if finish is not None:
+        finish()
     _check_end(path, temporary)
 
 

@@ -22,7 +22,7 @@ from .choose import (
     views_of,
 )
 from .color import INTEGERS
-from .files import FileInfo, JaxblurIOWarning, inspect, read_channels
+from .files import FileInfo, JaxblurIOWarning, inspect, read_channels, read_together
 from .passes import Passes, choose_passes
 
 if TYPE_CHECKING:
@@ -51,6 +51,8 @@ class Buffers:
         ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
         pass_channels: full names of the channels of further color passes.
         pass_colors: (H, W, K) their values, or None.
+        guide: (H, W, G) colors that show of which surface a pixel is, or None, as in
+            `jaxblur.Frame`; not beside passes.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -65,6 +67,7 @@ class Buffers:
     ignored: Ignored = NONE_IGNORED
     pass_channels: tuple[str, ...] = ()
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
+    guide: Float[np.ndarray, "height width channels"] | None = None
 
     def frame(self) -> "Frame":
         """The buffers as a `jaxblur.Frame` of JAX arrays.
@@ -76,7 +79,7 @@ class Buffers:
 
         from jaxblur.frame import Frame
 
-        color, guide = jnp.asarray(self.color), None
+        color, guide = jnp.asarray(self.color), self.guide
         if self.pass_colors is not None:
             color, guide = jnp.concatenate([color, jnp.asarray(self.pass_colors)], axis=-1), color
         return Frame(
@@ -85,7 +88,7 @@ class Buffers:
             velocity=jnp.asarray(self.velocity),
             path=None if self.path is None else jnp.asarray(self.path),
             valid=None if self.valid is None else jnp.asarray(self.valid),
-            guide=guide,
+            guide=None if guide is None else jnp.asarray(guide),
         )
 
 
@@ -182,38 +185,50 @@ def read_buffers(
     _check_arguments(preset, shutter, depth, nonfinite)
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    color, unknown = _read_color(info, group, nonfinite)
     passes, extra = choose_passes(info, group, also, layer), None
-    if passes:
-        values = read_channels(info.path, passes)
-        _check_window(info, passes, info, group)
-        extra, lacking = refuse_or_zero(info.path, passes, values, nonfinite)
-        unknown = unknown | lacking
-
     vector_info = inspect(velocity_from) if velocity_from else info
     vector_layer = _layer_in(vector_info, layer, velocity_from)
     guess = choose_vectors(vector_info, preset, vector_layer, velocity_channels)
     if velocity_channels is None:
         _warn_borrowed(vector_info, vector_layer, "vectors", guess.channels)
-    raw, still = _read_vectors(vector_info, guess.channels, info, group, nonfinite)
-    alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
-    scale = {"max_displace": max_displace, "file_shutter": file_shutter}
-    velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
-    if nonfinite != "keep":
-        check_speed(velocity, vector_info.path, guess)
-
-    if "flat" in (depth, guess.preset.depth if depth == "auto" else None):
-        channel, kind = None, "flat"
-        distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
-    else:
+    depth_info, channel = info, None
+    if "flat" not in (depth, guess.preset.depth if depth == "auto" else None):
         depth_info = inspect(depth_from) if depth_from else info
         taken = guess.channels if depth_info.path == vector_info.path else ()
         depth_layer = _layer_in(depth_info, layer, depth_from)
         channel = choose_depth(depth_info, depth_layer, depth_channel, group.prefix, taken)
         if depth_channel is None:
             _warn_borrowed(depth_info, depth_layer, "depth", [channel])
+
+    wanted = [(info, group.channels), (vector_info, guess.channels)]
+    wanted += [(info, passes)] if passes else []
+    wanted += [] if channel is None else [(depth_info, (channel,))]
+    for data, names in wanted[1:]:
+        _check_window(data, names, info, group)
+    colors, vectors_read, *more = read_together(wanted)
+    color, unknown = _as_light(info, group, colors, nonfinite)
+    if passes:
+        extra, lacking = refuse_or_zero(info.path, passes, more[0], nonfinite)
+        unknown = unknown | lacking
+    for name in guess.channels:
+        warn_lossy(vector_info, vector_info.channel(name))
+    raw, still = refuse_or_zero(vector_info.path, guess.channels, vectors_read, nonfinite)
+    alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
+    scale = {"max_displace": max_displace, "file_shutter": file_shutter}
+    velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
+    if nonfinite != "keep":
+        check_speed(velocity, vector_info.path, guess)
+
+    if channel is None:
+        kind = "flat"
+        distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
+    else:
+        warn_lossy(depth_info, depth_info.channel(channel))
         kind = _depth_kind(depth, guess, channel, path)
-        distance, lost = _read_distance(depth_info, channel, kind, info, group, nonfinite)
+        stored = more[-1][..., 0]
+        signed = -stored if kind.startswith("-") else stored
+        lost = without_depth(depth_info.path, channel, signed, nonfinite)
+        distance = to_distance(stored, kind, depth_info.path, channel)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
         valid=~unknown if unknown.any() else None,
@@ -244,7 +259,7 @@ def read_image(
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    return _read_color(info, group, "error")[0]
+    return _as_light(info, group, read_channels(info.path, group.channels), "error")[0]
 
 
 def to_distance(
@@ -310,30 +325,14 @@ def _warn_borrowed(info: FileInfo, layer: str | None, what: str, names: Sequence
         warnings.warn(f"{info.path}: {what}: {words}.", JaxblurIOWarning, stacklevel=3)
 
 
-def _read_color(info: FileInfo, group: ColorGroup, nonfinite: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read the color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
-    color = read_channels(info.path, group.channels)
+def _as_light(
+    info: FileInfo, group: ColorGroup, color: np.ndarray, nonfinite: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Stored color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
     for index, name in enumerate(group.channels):
         if info.channel(name).type in INTEGERS and name != group.alpha:
             color[..., index] = srgb.decode(color[..., index])
     return refuse_or_zero(info.path, group.channels, color, nonfinite)
-
-
-def _read_vectors(
-    info: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup, nonfinite: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Read vectors as they are stored, and a mask of unknown pixels."""
-    raw = _read_data(info, names, picture, group)
-    return refuse_or_zero(info.path, names, raw, nonfinite)
-
-
-def _read_distance(
-    info: FileInfo, name: str, kind: str, picture: FileInfo, group: ColorGroup, nonfinite: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Read depth as positive distance, and a mask of unknown pixels."""
-    raw = _read_data(info, [name], picture, group)[..., 0]
-    lost = without_depth(info.path, name, -raw if kind.startswith("-") else raw, nonfinite)
-    return to_distance(raw, kind, info.path, name), lost
 
 
 def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
@@ -352,17 +351,6 @@ def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) 
             stacklevel=3,
         )
     return kind
-
-
-def _read_data(
-    data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
-) -> np.ndarray:
-    """Read vectors or depth, and check that their data window is that of the color."""
-    values = read_channels(data.path, names)
-    _check_window(data, names, picture, group)
-    for name in names:
-        warn_lossy(data, data.channel(name))
-    return values
 
 
 def _check_window(

@@ -5,7 +5,7 @@ import os
 import pathlib
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio
@@ -17,6 +17,7 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import printable
 
 from .choose import choose_color, is_depth
+from .chunks import alike, copy_chunks
 from .color import COLORS, Conversion, check_color_space, check_view, conversion_of
 from .files import (
     FileInfo,
@@ -30,6 +31,7 @@ from .files import (
 )
 from .header import relabel_as_uint
 from .output import check, writer
+from .ranks import ChannelChange
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
@@ -60,6 +62,7 @@ def write_image(
     overwrite: bool = True,
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
+    changes: Sequence[ChannelChange] = (),
     color_space: str | None = None,
     view: str | None = None,
 ) -> None:
@@ -84,9 +87,11 @@ def write_image(
         overwrite: replace an existing file, which must not be ``like``.
         nonfinite: treatment of NaN, and of infinity other than sky in depth, in the channels that
             are copied from ``like``: "keep" them, or replace them by "zero" (in depth by infinity);
-            both give a warning.
+            both give a warning, except for parts that are kept as they are stored.
         unchanged: states of the files that the image was made from, recorded before they were
             read; if one has changed when the new file is complete, that does not appear.
+        changes: other values for pixels of further channels of ``like``, such as the ranks of a
+            Cryptomatte; these channels are written even with ``extra="drop"``.
         color_space: color space of the image, for ``.png``; that of ``like`` if None.
         view: OpenColorIO view for ``.png``, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB
             if None.
@@ -125,9 +130,10 @@ def write_image(
             _check_model(path, pixels, info, names)
             _refuse_deep(path, info, extra)
             _refuse_equal_names(path, info, extra)
-            plans = _plan_parts(source, info, names, extra == "keep", dtype, attributes)
+            new = _New(pixels, names, changes)
+            plans = _plan_parts(source, info, new, extra == "keep", dtype, attributes)
             with replacing(path, last_check) as temporary:
-                _write_parts(path, temporary, source, info, plans, pixels, nonfinite == "zero")
+                _write_parts(path, temporary, source, info, plans, new, nonfinite == "zero")
 
 
 def write_channels(
@@ -224,6 +230,24 @@ def refuse_overwrite(output: PathLike, *inputs: PathLike) -> None:
             raise JaxblurIOError(output, "is an input too; write to another file.")
 
 
+class _New(NamedTuple):
+    """What replaces pixels of the model.
+
+    Attributes:
+        image: (H, W, C).
+        color: full names of the channels that it replaces.
+        changes: of further channels.
+    """
+
+    image: np.ndarray
+    color: Sequence[str]
+    changes: Sequence[ChannelChange]
+
+    def names(self) -> set[str]:
+        """All channels that are replaced or changed."""
+        return {*self.color, *(name for change in self.changes for name in change.channels)}
+
+
 @dataclasses.dataclass(frozen=True)
 class _Plan:
     """Plan for writing one part of the model.
@@ -233,7 +257,8 @@ class _Plan:
         spec: header of the output part.
         keep: indices of the model's channels that are written, in order.
         color: (position in ``keep``, channel of the image) of each replaced channel.
-        half: positions in ``keep`` of replaced channels that are written as half.
+        changed: positions in ``keep`` of changed channels by name.
+        half: positions in ``keep`` of replaced and changed channels that are written as half.
         uint: positions in ``keep`` of integer channels.
     """
 
@@ -241,6 +266,7 @@ class _Plan:
     spec: Any
     keep: tuple[int, ...]
     color: tuple[tuple[int, int], ...]
+    changed: Mapping[str, int]
     half: tuple[int, ...]
     uint: tuple[int, ...]
 
@@ -248,35 +274,37 @@ class _Plan:
 def _plan_parts(
     source: Any,
     info: FileInfo,
-    color: Sequence[str],
+    new: _New,
     keep_extra: bool,
     dtype: str | None,
     attributes: Mapping[str, str | int | float] | None,
 ) -> list[_Plan]:
-    plans = []
+    plans, names = [], new.names()
     for index, part in enumerate(info.parts):
-        is_color = any(channel.name in color for channel in part.channels)
-        if is_color or keep_extra:
+        is_new = any(channel.name in names for channel in part.channels)
+        if is_new or keep_extra:
             source.seek_subimage(index, 0)
-            plan = _plan_part(source.spec(), info, index, color, keep_extra, dtype)
-            if is_color:
+            plan = _plan_part(source.spec(), info, index, new, keep_extra, dtype)
+            if plan.color:
                 _set_attributes(plan.spec, attributes)
             plans.append(plan)
     return plans
 
 
 def _plan_part(
-    spec: Any, info: FileInfo, index: int, color: Sequence[str], keep_extra: bool, dtype: str | None
+    spec: Any, info: FileInfo, index: int, new: _New, keep_extra: bool, dtype: str | None
 ) -> _Plan:
-    part = info.parts[index]
-    kept = [c for c in part.channels if keep_extra or c.name in color]
+    part, color, names = info.parts[index], new.color, new.names()
+    kept = [c for c in part.channels if keep_extra or c.name in names]
     replaced = tuple(
         (position, color.index(c.name)) for position, c in enumerate(kept) if c.name in color
     )
+    changed = {c.name: i for i, c in enumerate(kept) if c.name in names and c.name not in color}
     kinds = [channel.type for channel in kept]
     for position, _ in replaced:
         kinds[position] = dtype or ("half" if kinds[position] == "half" else "float")
-    uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if replaced else ()
+    is_merged = bool(replaced or changed)
+    uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if is_merged else ()
     header = oiio.ImageSpec(spec)
     if len(kept) < len(part.channels):
         header.nchannels = len(kept)
@@ -287,8 +315,9 @@ def _plan_part(
     header.attribute("compression", scheme if scheme in allowed else "zip")
     for name in STORAGE:
         header.erase_attribute(name)
-    half = tuple(position for position, _ in replaced if kinds[position] == "half")
-    return _Plan(index, header, tuple(c.index for c in kept), replaced, half, uint)
+    written = (*(position for position, _ in replaced), *changed.values())
+    half = tuple(position for position in written if kinds[position] == "half")
+    return _Plan(index, header, tuple(c.index for c in kept), replaced, changed, half, uint)
 
 
 def _write_parts(
@@ -297,16 +326,26 @@ def _write_parts(
     source: Any,
     info: FileInfo,
     plans: list[_Plan],
-    image: np.ndarray,
+    new: _New,
     mend: bool,
 ) -> None:
     specs = [plan.spec for plan in plans]
-    with writer(path, temporary, specs) as output:
+    stored = _stored_alike(info, temporary, plans, mend)
+
+    def append() -> None:
+        try:
+            copy_chunks(info.path, temporary, stored)
+        except OSError as error:
+            raise JaxblurIOError(path, f"cannot be written: {error.strerror}.") from error
+
+    with writer(path, temporary, specs, append if stored else None) as output:
         for position, plan in enumerate(plans):
             if position:
                 check(path, output, output.open(temporary, plan.spec, "AppendSubimage"))
-            if plan.color:
-                pixels = _merged(path, source, info, plan, image, mend)
+            if plan.part in stored:
+                continue
+            if plan.color or plan.changed:
+                pixels = _merged(path, source, info, plan, new, mend)
                 check(path, output, output.write_image(pixels))
             elif (mended := _mended_part(path, source, info, plan, mend)) is not None:
                 check(path, output, output.write_image(mended))
@@ -318,6 +357,29 @@ def _write_parts(
         if plan.uint:
             names = [plan.spec.channelnames[index] for index in plan.uint]
             relabel_as_uint(temporary, position, names)
+
+
+def _stored_alike(info: FileInfo, temporary: str, plans: list[_Plan], mend: bool) -> dict[int, int]:
+    """The parts that are copied as they are stored: their positions by their numbers.
+
+    Whether that is possible is found out from a file with the headers alone, since the writer may
+    store a part in another way than asked for.
+    """
+    kept = {
+        plan.part: position
+        for position, plan in enumerate(plans)
+        if not plan.color and not plan.changed and info.parts[plan.part].levels == 1
+    }
+    if not kept or mend or len(plans) == len(kept):
+        return {}
+    output = oiio.ImageOutput.create(temporary)
+    if output is None or not output.open(temporary, tuple(plan.spec for plan in plans)):
+        # The writer gives the reason.
+        pending_message(output)
+        return {}
+    output.close()
+    pending_message(output)
+    return {old: new for old, new in kept.items() if alike(info.path, temporary, {old: new})}
 
 
 def _report_storage(info: FileInfo, temporary: str, plans: list[_Plan]) -> None:
@@ -390,20 +452,34 @@ def _not_finite(
 
 
 def _merged(
-    path: PathLike, source: Any, info: FileInfo, plan: _Plan, image: np.ndarray, mend: bool
+    path: PathLike, source: Any, info: FileInfo, plan: _Plan, new: _New, mend: bool
 ) -> np.ndarray:
-    """Read a part of the model and replace its color."""
+    """Read a part of the model, replace its color and change further channels."""
     channels = info.parts[plan.part].channels
+    if len(plan.color) == len(plan.keep) and len(plan.half) in (0, len(plan.keep)):
+        # Nothing of the model is left.
+        order = [channel for _, channel in plan.color]
+        is_all = order == list(range(new.image.shape[2]))
+        pixels = np.ascontiguousarray(new.image if is_all else new.image[..., order])
+        return _clamp_half(path, pixels) if plan.half else pixels
     old = read_span(source, info, plan.part, 0, len(channels), "float")
-    pixels = np.ascontiguousarray(old[..., plan.keep])
+    is_whole = plan.keep == tuple(range(len(channels)))
+    pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
     _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
     for position in plan.uint:
         index = plan.keep[position]
         bits = read_span(source, info, plan.part, index, index + 1, "uint")
         pixels[..., position] = bits[..., 0].view(np.float32)
     for position, channel in plan.color:
-        pixels[..., position] = image[..., channel]
-    pixels[..., plan.half] = _clamp_half(path, pixels[..., plan.half])
+        pixels[..., position] = new.image[..., channel]
+    flat = pixels.reshape(-1, pixels.shape[-1])
+    for change in new.changes:
+        for index, name in enumerate(change.channels):
+            if name in plan.changed:
+                flat[change.pixels, plan.changed[name]] = change.values[:, index]
+    half = pixels[..., plan.half]
+    if (clamped := _clamp_half(path, half)) is not half:
+        pixels[..., plan.half] = clamped
     return pixels
 
 
@@ -491,7 +567,8 @@ def _clamp_half(path: PathLike, values: np.ndarray) -> np.ndarray:
             JaxblurIOWarning,
             stacklevel=4,
         )
-    return np.clip(values, -HALF_MAX, HALF_MAX)
+        return np.clip(values, -HALF_MAX, HALF_MAX)
+    return values
 
 
 def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:

@@ -133,13 +133,18 @@ def from_path(path: Float[np.ndarray, "height width 2 2"], shutter: float) -> Di
 def _parts(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, ...]:
     """Split two ends into half the chord, the rest along and across it, and their ratio."""
     line, rest = (last - first) / 2, (last + first) / 2
-    squared = np.sum(line * line, axis=-1, keepdims=True)
-    along = np.sum(line * rest, axis=-1, keepdims=True) / np.where(squared > 0, squared, 1) * line
+    squared = _dot(line, line)
+    along = _dot(line, rest) / np.where(squared > 0, squared, 1) * line
     across = rest - along
     # A point that returns to its old position has no chord: the widest angle.
-    steep = np.linalg.norm(across, axis=-1, keepdims=True)
+    steep = np.sqrt(_dot(across, across))
     ratio = steep / np.sqrt(np.where(squared > 0, squared, 1))
     return line, along, across, np.where(squared > 0, ratio, np.where(steep > 0, np.inf, 0))
+
+
+def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Product of vectors, (H, W, 1); NumPy's sums over so short an axis are slow."""
+    return first[..., :1] * second[..., :1] + first[..., 1:] * second[..., 1:]
 
 
 def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
