@@ -4,10 +4,10 @@ from typing import NamedTuple, Protocol
 
 from ..kernels.program import marks_primitive
 from .between import Number
-from .expressions import LOOSE, SUM, Dialect, NotExpressible, Value
+from .expressions import ATOM, PRODUCT, SUM, Dialect, NotExpressible, Value
 from .graph import Buffer, Node, Size, View
 from .names import Names
-from .printer import Printer, Table
+from .printer import Printer, Table, needed_for
 
 
 class Host(Protocol):
@@ -90,13 +90,12 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
     Raises:
         NotExpressible: the language has no form for something in it.
     """
-    names = Names(GLOBAL)
+    names = Names((*GLOBAL, node.output.name))
     bound = bindings_of(node, names)
-    names.new(node.output.name)
     head = Printer(host.dialect, names, host.read, 1)
     sizes = _Sizes(head)
-    grid = sizes.of(node.size)
-    for name, value in zip(("rows", "columns"), grid, strict=True):
+    for name, axis in (("rows", "height"), ("columns", "width")):
+        value = sizes.of(node.size, axis)
         pattern, kind = host.dialect.constant, host.dialect.type_of("int32")
         head.add(pattern.format(type=kind, name=name, value=value.code))
     printer = Printer(host.dialect, names, host.read, depth, node.run.traced.name)
@@ -104,7 +103,8 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
     inputs: list[Value | Table] = [Value("row", "int32"), Value("column", "int32")]
     own = []
     pixel = Value("pixel_index", "int32")
-    used = {v for e in jaxpr.eqns for v in map(id, e.invars)} | set(map(id, jaxpr.outvars))
+    needed = needed_for(jaxpr.eqns, jaxpr.outvars)
+    used = {v for e in needed for v in map(id, e.invars)} | set(map(id, jaxpr.outvars))
     for kind, name, operand in zip(
         node.run.traced.kinds, node.run.names, node.inputs, strict=True
     ):
@@ -113,8 +113,10 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
             inputs.append(_number(operand, name, head, host, id(variable) in used))
             continue
         table = Table(bound.get(operand.buffer, "unused"), kind.channels, kind.dtype)
-        knows_size = any(id(v) in used for v in jaxpr.invars[len(inputs) + 1 : len(inputs) + 3])
-        inputs += [table, *(sizes.of(operand.size) if knows_size else (pixel, pixel))]
+        inputs.append(table)
+        for axis in ("height", "width"):
+            known = id(jaxpr.invars[len(inputs)]) in used
+            inputs.append(sizes.of(operand.size, axis) if known else pixel)
         for channel in range(kind.channels):
             variable = jaxpr.invars[len(inputs)]
             if id(variable) in used:
@@ -147,23 +149,20 @@ class _Sizes:
 
     def __init__(self, head: Printer) -> None:
         self._head = head
-        self._known = {Size("frame"): (Value("height", "int32"), Value("width", "int32"))}
+        self._known: dict[tuple[Size, str], Value] = {}
 
-    def of(self, size: Size) -> tuple[Value, Value]:
-        if size in self._known:
-            return self._known[size]
-        height, width = self._known[Size("frame")]
+    def of(self, size: Size, axis: str) -> Value:
+        """Rows or columns, for the axis ``height`` or ``width``."""
+        side = Value(axis, "int32")
+        if size.of == "frame" or (size.of == "stack" and axis == "width"):
+            return side
         if size.of == "stack":
-            self._known[size] = (Value(f"{size.factor} * height", "int32", 2), width)
-            return self._known[size]
-        found = [
-            self._head.define(
-                Value(f"({side} + {size.factor - 1}) / {size.factor}", "int32", 2), f"tile_{name}"
-            )
-            for side, name in (("height", "rows"), ("width", "columns"))
-        ]
-        self._known[size] = found[0], found[1]
-        return self._known[size]
+            return Value(f"{size.factor} * {axis}", "int32", PRODUCT)
+        if (size, axis) not in self._known:
+            code = f"({axis} + {size.factor - 1}) / {size.factor}"
+            name = {"height": "tile_rows", "width": "tile_columns"}[axis]
+            self._known[size, axis] = self._head.define(Value(code, "int32", PRODUCT), name)
+        return self._known[size, axis]
 
 
 def _number(number: Number, name: str, head: Printer, host: Host, used: bool) -> Value:
@@ -190,7 +189,7 @@ def _write_outcome(node: Node, host: Host, printer: Printer, bound: dict[Buffer,
     (condition,) = printer.write(jaxpr.eqns, [where])
     always = condition.number is not None and bool(condition.number)
     if not always:
-        negated = f"!{condition.within(LOOSE + 3)}"
+        negated = f"!{condition.within(ATOM)}"
         with printer.block(f"if ({negated}) {{"):
             if node.run.kind != "marks":
                 for channel, code in enumerate(_others(node, host, printer, bound, otherwise)):

@@ -3,13 +3,13 @@
 import collections
 import contextlib
 import textwrap
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Container, Generator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from jax.extend import core
 
-from ..kernels.planes import live, opened
+from ..kernels.planes import opened
 from ..kernels.program import marks_primitive, sum_primitive
 from ..kernels.reads import place_primitive
 from .expressions import ATOM, Dialect, NotExpressible, Value
@@ -69,6 +69,7 @@ class Printer:
         self._values: dict[Any, Value | Table] = {}
         self._uses: collections.Counter[Any] = collections.Counter()
         self._origins: dict[Any, Origin] = {}
+        self._leaving: collections.Counter[Any] = collections.Counter()
         self._given: collections.Counter[Any] = collections.Counter()
         self._readers: dict[Any, Any] = {}
         self._own: dict[Any, tuple[Value, str]] = {}
@@ -103,21 +104,22 @@ class Printer:
             own: inputs that are named where they are first used, and the names wanted.
         """
         self._values |= dict(zip(jaxpr.invars, inputs, strict=True))
+        self._count(jaxpr)
+        self._count_leaving(jaxpr)
         for variable, value, name in own:
             del self._values[variable]
             self._own[variable] = value, name
-        self._count(jaxpr)
 
     def _count(self, jaxpr: Any) -> None:
         """How often each value is used; what a loop uses is named before it."""
         same: dict[Any, Any] = {}
-        for equation in live(jaxpr.eqns, jaxpr.outvars):
+        for equation in needed_for(jaxpr.eqns, jaxpr.outvars):
             if equation.primitive.name in _SAME:
                 source = equation.invars[0]
                 same[equation.outvars[0]] = same.get(source, source) if _varies(source) else source
                 continue
             loops = equation.primitive.name == "scan" or equation.primitive in _SUMS
-            for atom in filter(_varies, equation.invars):
+            for atom in filter(_varies, _read_by(equation)):
                 atom = same.get(atom, atom)
                 if _varies(atom):
                     self._uses[atom] += 2 if loops else 1
@@ -128,6 +130,22 @@ class Printer:
             atom = same.get(atom, atom)
             if _varies(atom):
                 self._uses[atom] += 1
+
+    def _count_leaving(self, jaxpr: Any) -> None:
+        """How many values of a statement that assigns to a tuple are used outside of it."""
+        for equation in jaxpr.eqns:
+            origin = origin_of(equation)
+            if len(origin.names) > 1 and equation.primitive.name not in _SAME:
+                self._leaving[origin.statement] += sum(
+                    self._uses[v] > 0 and not self._stays(v, origin) for v in equation.outvars
+                )
+            if equation.primitive.name == "scan" or equation.primitive in _SUMS:
+                self._count_leaving(opened(equation.params["jaxpr"])[0])
+
+    def _stays(self, variable: Any, origin: Origin) -> bool:
+        """Whether a value is used in its own statement."""
+        reader = self._readers.get(variable)
+        return reader is not None and origin_of(reader).statement == origin.statement
 
     def value(self, atom: Any) -> Any:
         """The value of a variable or a literal."""
@@ -159,7 +177,7 @@ class Printer:
 
     def write(self, equations: Sequence[Any], wanted: Sequence[Any]) -> list[Value]:
         """Write what the wanted values need and is not written yet."""
-        for equation in live(equations, wanted, list(self._values)):
+        for equation in needed_for(equations, wanted, set(self._values)):
             self._write(equation)
         return [self.scalar(atom) for atom in wanted]
 
@@ -220,17 +238,20 @@ class Printer:
         if reader is None or origin_of(reader).statement != origin.statement:
             return False
         # An index that several reads share stays one.
-        return value.dtype != "int32" or all(self._uses[v] <= 1 for v in reader.outvars)
+        scales = value.dtype == "int32" and not _varies(reader.invars[-1])
+        return not scales or all(self._uses[v] <= 1 for v in reader.outvars)
 
     def _wanted(self, origin: Origin, variable: Any) -> str:
         """The name of a value: the parts of a tuple are taken in turn where they leave it."""
         if len(origin.names) == 1:
             return "result" if origin.names[0] == self._program else origin.names[0]
-        reader = self._readers.get(variable)
-        if reader is not None and origin_of(reader).statement == origin.statement:
+        if self._stays(variable, origin):
             return "part"
         number = self._given[origin.statement]
         self._given[origin.statement] += 1
+        if self._leaving[origin.statement] != len(origin.names):
+            # Which is which cannot be told.
+            return "_".join(origin.names[:3])
         return origin.names[min(number, len(origin.names) - 1)]
 
     def _place(self, equation: Any) -> list[Value]:
@@ -343,6 +364,25 @@ class Printer:
 
 
 _SUMS = (sum_primitive, marks_primitive)
+
+
+def needed_for(
+    equations: Sequence[Any], wanted: Sequence[Any], known: Container[Any] = ()
+) -> list[Any]:
+    """The equations that make the wanted variables from the known ones, in order."""
+    needed = {v for v in wanted if _varies(v) and v not in known}
+    chosen = []
+    for equation in reversed(equations):
+        if needed & set(equation.outvars):
+            needed |= {v for v in _read_by(equation) if _varies(v) and v not in known}
+            chosen.append(equation)
+    return chosen[::-1]
+
+
+def _read_by(equation: Any) -> list[Any]:
+    """What an equation reads; a still place needs its operands for derivatives only."""
+    still = equation.primitive is place_primitive and equation.params["still"]
+    return [] if still else equation.invars
 
 
 _WHOLE = {
