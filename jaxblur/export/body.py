@@ -16,10 +16,13 @@ class Host(Protocol):
     Attributes:
         dialect: of the expressions.
         leave: the statement that ends the work on a pixel.
+        taken: names that no variable may have; if there are any, buffers keep their own names,
+            otherwise they have those of the program.
     """
 
     dialect: Dialect
     leave: str
+    taken: tuple[str, ...]
 
     def read(self, table: Table, index: Value) -> str:
         """The text of a read of a buffer."""
@@ -62,17 +65,19 @@ class Body(NamedTuple):
 GLOBAL = ("row", "column", "pixel_index", "height", "width", "rows", "columns", "parameters")
 
 
-def bindings_of(node: Node, names: Names) -> dict[Buffer, str]:
-    """The buffers that a pass reads, with the names that its program has for them."""
+def bindings_of(node: Node, names: Names | None = None) -> dict[Buffer, str]:
+    """The buffers that a pass reads, with the names that its program has for them, or their own."""
+
+    def name_of(wanted: str, buffer: Buffer) -> str:
+        return buffer.name if names is None else names.new(wanted)
+
     found: dict[Buffer, str] = {}
-    kinds = node.run.traced.kinds
     for k, (name, operand) in enumerate(zip(node.run.names, node.inputs, strict=True)):
         used = k in node.run.traced.local or k in node.run.traced.tables
         if isinstance(operand, View) and used and operand.buffer not in found:
-            assert kinds[k].channels
-            found[operand.buffer] = names.new(name)
+            found[operand.buffer] = name_of(name, operand.buffer)
     if node.kept is not None and node.run.traced.keeps and node.kept not in found:
-        found[node.kept] = names.new("kept")
+        found[node.kept] = name_of("kept", node.kept)
     return found
 
 
@@ -90,8 +95,8 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
     Raises:
         NotExpressible: the language has no form for something in it.
     """
-    names = Names((*GLOBAL, node.output.name))
-    bound = bindings_of(node, names)
+    names = Names((*GLOBAL, node.output.name, *host.taken))
+    bound = bindings_of(node, None if host.taken else names)
     head = Printer(host.dialect, names, host.read, 1)
     sizes = _Sizes(head)
     for name, axis in (("rows", "height"), ("columns", "width")):

@@ -27,6 +27,7 @@ class _Host:
 
     dialect = C
     leave = "continue;"
+    taken = ()
 
     def read(self, table: Table, index: Value) -> str:
         return f"{table.name}[{index.code}]"
@@ -133,7 +134,7 @@ def _elements(buffer: Buffer) -> str:
 def _arguments(graph: Graph, name: str) -> str:
     listed = [f"const struct {name}_parameters *parameters", "int width", "int height"]
     listed += [f"const float *{buffer.name}" for buffer in graph.inputs]
-    return ",\n    ".join([*listed, "float *out", "void *scratch"])
+    return ",\n    ".join([*listed, f"float *{graph.output.name}", "void *scratch"])
 
 
 def _entry(graph: Graph, bodies: list[Body], name: str) -> str:

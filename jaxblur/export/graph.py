@@ -256,10 +256,10 @@ class _Builder:
             inputs.append(buffer)
         self.numbers = dict(zip(wires[len(self.fields) :], self.defaults, strict=True))
         (result,) = self._flattened(closed.jaxpr, closed.consts, wires)
-        output = self._buffer_of(result, "out")
+        output = self._buffer_of(result, "blurred")
         if output.role == "input":
             raise ValueError(f"{self.info.name} returns an input; there is nothing to export.")
-        output.role, output.name = "output", "out"
+        output.role, output.name = "output", "blurred"
         inputs = self._with_noise(inputs)
         used = {view.buffer for node in self.nodes for view in node.inputs if _is_view(view)}
         used |= {node.kept for node in self.nodes if node.kept is not None}
