@@ -1,12 +1,20 @@
 """Runs printed filters, for tests."""
 
+import base64
+import contextlib
 import ctypes
+import importlib.resources
 import pathlib
+import re
 import shutil
 import subprocess
 
 import numpy as np
 import pytest
+
+from jaxblur.export.plan import plan_of
+
+from .browser import SHADERS, chromium
 
 FLAGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
 
@@ -37,3 +45,94 @@ def run_c(graph, text, folder, planes, parameters=None):
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*given, out, scratch)]
     assert getattr(loaded, name)(values, width, height, *pointers) == 0
     return out
+
+
+PAGE = """<!doctype html><meta charset="utf-8"><script>{webgpu}</script><script>{webgl}</script><script>
+function floats(text) {{
+  return new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+}}
+function text(values) {{
+  const bytes = new Uint8Array(values.buffer);
+  let found = "";
+  for (let k = 0; k < bytes.length; k += 8192) {{
+    found += String.fromCharCode(...bytes.subarray(k, k + 8192));
+  }}
+  return btoa(found);
+}}
+function decoded(inputs) {{
+  return Object.fromEntries(Object.entries(inputs).map(([name, value]) => [name, floats(value)]));
+}}
+async function onWebgpu({{plan, code, width, height, inputs, parameters}}) {{
+  const filter = await Filter.make(await webgpuDevice(), plan, code, width, height);
+  for (const [name, values] of Object.entries(decoded(inputs))) filter.upload(name, values);
+  return text(await filter.run(parameters));
+}}
+function onWebgl({{plan, code, width, height, inputs, parameters}}) {{
+  return text(runWebgl(plan, code, width, height, decoded(inputs), parameters));
+}}
+</script>"""
+
+
+@contextlib.contextmanager
+def shader_page(folder):
+    """A page in Chromium on which printed shaders run."""
+    runner = importlib.resources.files("jaxblur.export") / "templates" / "webgpu.js"
+    webgl = pathlib.Path(__file__).with_name("webgl.js").read_text()
+    file = pathlib.Path(folder) / "shaders.html"
+    file.write_text(PAGE.format(webgpu=runner.read_text(), webgl=webgl))
+    with chromium(SHADERS) as browser:
+        page = browser.new_page()
+        page.goto(file.as_uri())
+        yield page
+
+
+def run_shaders(page, function, graph, code, planes, parameters=None):
+    """Run a filter that was printed as WGSL or GLSL on planes by name."""
+    height, width = planes["color"].shape[:2]
+    inputs = {}
+    for buffer in graph.inputs:
+        # Shaders may not count on infinity.
+        array = np.minimum(np.asarray(planes[buffer.name], np.float32), np.float32(1e18))
+        inputs[buffer.name] = base64.b64encode(array.tobytes()).decode()
+    given = {"plan": plan_of(graph), "code": code, "width": width, "height": height}
+    given |= {"inputs": inputs, "parameters": parameters or {}}
+    found = base64.b64decode(page.evaluate(function, given))
+    return np.frombuffer(found, np.float32).reshape(height, width, graph.channels)
+
+
+def run_hlsl(graph, code, planes):
+    """Run a filter that was printed as HLSL on the processor, by the compiler of slangpy."""
+    slang = pytest.importorskip("slangpy", reason="needs the Slang compiler: pip install slangpy")
+    # Its target for processors has no atomic operations; one thread needs none.
+    code = re.sub(r"InterlockedMax\((.*?), (\w+)\);", r"\1 = max(\1, \2);", code)
+    device = slang.Device(type=slang.DeviceType.cpu)
+    module = device.load_module_from_source(graph.filter.name, code)
+    height, width = planes["color"].shape[:2]
+    usage = slang.BufferUsage.shader_resource | slang.BufferUsage.unordered_access
+    buffers = {}
+    for buffer in graph.buffers:
+        count = buffer.elements(height, width)
+        made = device.create_buffer(element_count=count, struct_size=4, usage=usage)
+        array = planes[buffer.name] if buffer.role == "input" else np.zeros(count)
+        array = np.minimum(np.asarray(array, np.float32), np.float32(1e18))
+        made.copy_from_numpy(np.ascontiguousarray(array).reshape(-1).view(np.int32))
+        buffers[buffer.name] = made
+    uniforms = {"height": height, "width": width}
+    uniforms |= {f"parameter_{name}": value for name, value in graph.parameters.items()}
+    plan = plan_of(graph)
+    for node, part in zip(graph.nodes, plan["passes"], strict=True):
+        program = device.link_program([module], [module.entry_point(f"pass_{node.name}")])
+        variables = {name: buffers[name] for name in part["reads"]}
+        variables[f"write_{part['writes']}"] = buffers[part["writes"]]
+        rows, columns = node_grid(node, height, width)
+        kernel = device.create_compute_kernel(program)
+        kernel.dispatch([columns, rows, 1], vars={**variables, "Uniforms": uniforms})
+    found = buffers["blurred"].to_numpy().view(np.float32)
+    return found.reshape(height, width, graph.channels)
+
+
+def node_grid(node, height, width):
+    """Rows and columns of the grid of a pass."""
+    if node.size.of == "tiles":
+        return -(-height // node.size.factor), -(-width // node.size.factor)
+    return height, width

@@ -2,7 +2,7 @@
 
 import textwrap
 
-from .body import Body, bindings_of, write_body
+from .body import Body, write_body
 from .dialects import HLSL, WGSL
 from .expressions import Dialect, Value
 from .graph import Graph, Node
@@ -20,7 +20,7 @@ class _Host:
         written = [f"write_{buffer.name}" for buffer in graph.buffers]
         passes = [f"pass_{node.name}" for node in graph.nodes]
         buffers = [buffer.name for buffer in graph.buffers]
-        self.taken = ("id", "uniforms", "sign_of", *buffers, *written, *passes)
+        self.taken = ("id", "uniforms", "sign_of", "sign_of_int", *buffers, *written, *passes)
 
     def read(self, table: Table, index: Value) -> str:
         return f"{table.name}[{index.code}]"
@@ -104,7 +104,10 @@ def print_hlsl(graph: Graph) -> str:
         if buffer.role != "input":
             name = f"write_{buffer.name}"
             lines.append(f"RWStructuredBuffer<{kind}> {name} : register(u{number});")
-    lines += ["", "float sign_of(float a)", "{", "    return float(sign(a));", "}"]
+    for kind, name, one in (("float", "sign_of", "1.0f"), ("int", "sign_of_int", "1")):
+        zero = one.replace("1", "0", 1)
+        code = f"a > {zero} ? {one} : (a < {zero} ? -{one} : {zero})"
+        lines += ["", f"{kind} {name}({kind} a)", "{", f"    return {code};", "}"]
     for node in graph.nodes:
         body = write_body(node, _Host(HLSL, graph), 1)
         lines += [
@@ -142,5 +145,3 @@ def _title(graph: Graph, mark: str) -> str:
 def _comment(text: str, mark: str) -> str:
     return "\n".join(f"{mark} {line}" for line in textwrap.wrap(text, 92))
 
-
-__all__ = ["bindings_of", "print_hlsl", "print_wgsl"]

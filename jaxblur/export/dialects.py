@@ -7,7 +7,7 @@ _COMMON = {
     **{name: name for name in ("tan", "tanh", "abs", "max", "min")},
     **{"abs_int": "abs", "max_int": "max", "min_int": "min", "round_away": "round_away"},
 }
-_LARGEST = "3.4028235e38"
+_LARGEST = "3.4028234e38"
 
 C = Dialect(
     name="c",
@@ -49,7 +49,7 @@ HLSL = Dialect(
     types={"float32": "float", "int32": "int", "bool": "bool"},
     functions={
         **_COMMON,
-        **{"sign": "sign_of", "sign_int": "sign", "round_even": "round", "atan2": "atan2"},
+        **{"sign": "sign_of", "sign_int": "sign_of_int", "round_even": "round", "atan2": "atan2"},
         "rem": "fmod",
     },
     infinity=f"{_LARGEST}f",
