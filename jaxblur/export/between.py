@@ -194,7 +194,8 @@ def _evaluate(
             else:
                 step = look(one)
                 inputs = [value(source) for source in step.inputs]
-                done[one] = _apply(step, inputs, collapsed(one.shape, size), at, size)
+                part = step.outputs.index(one)
+                done[one] = _apply(step, part, inputs, collapsed(one.shape, size), at, size)
         return done[one]
 
     return value(wire)
@@ -207,9 +208,14 @@ def _boxed(scalar: Any) -> np.ndarray:
 
 
 def _apply(
-    step: Any, inputs: list[np.ndarray], shape: tuple[int, ...], at: At | None, size: Any
+    step: Any,
+    part: int,
+    inputs: list[np.ndarray],
+    shape: tuple[int, ...],
+    at: At | None,
+    size: tuple[int, int],
 ) -> np.ndarray:
-    """One equation on arrays of traced scalars."""
+    """One of the results of an equation, on arrays of traced scalars."""
     name, params = step.primitive.name, step.params
     if name in ELEMENTWISE:
         return _elementwise(step.primitive, params, inputs, shape)
@@ -225,16 +231,15 @@ def _apply(
         return np.transpose(inputs[0], params["permutation"])
     if name == "concatenate":
         return np.concatenate(inputs, axis=params["dimension"])
+    if name == "stack":
+        return np.stack(inputs, axis=params["axis"])
+    if name == "unstack" and step.inputs[0].shape[params["axis"]] not in size:
+        return np.moveaxis(inputs[0], params["axis"], 0)[part]
+    if name == "split" and step.inputs[0].shape[params["axis"]] not in size:
+        ends = np.cumsum(params["sizes"])[:-1]
+        return np.split(inputs[0], ends, axis=params["axis"])[part]
     if name == "slice":
-        whole = step.inputs[0].shape
-        cuts = []
-        starts, limits = params["start_indices"], params["limit_indices"]
-        strides = params["strides"] or (1,) * len(whole)
-        for side, start, limit, stride in zip(whole, starts, limits, strides, strict=True):
-            if side in size and (start, limit, stride) != (0, side, 1):
-                raise ValueError("a part of a frame between passes.")
-            cuts.append(slice(None) if side in size else slice(start, limit, stride))
-        return inputs[0][tuple(cuts)]
+        return _slice(step, inputs[0], size)
     if name == "iota" and at is not None:
         return _iota(step, at, size, shape)
     if name == "reduce_sum":
@@ -244,6 +249,18 @@ def _apply(
     raise ValueError(
         f"the operation {name} between passes has no printed form; compute it in `each_pixel`."
     )
+
+
+def _slice(step: Any, values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    whole, params = step.inputs[0].shape, step.params
+    starts, limits = params["start_indices"], params["limit_indices"]
+    strides = params["strides"] or (1,) * len(whole)
+    cuts = []
+    for side, start, limit, stride in zip(whole, starts, limits, strides, strict=True):
+        if side in size and (start, limit, stride) != (0, side, 1):
+            raise ValueError("a part of a frame between passes; compute it in `each_pixel`.")
+        cuts.append(slice(None) if side in size else slice(start, limit, stride))
+    return values[tuple(cuts)]
 
 
 def _elementwise(

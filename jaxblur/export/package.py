@@ -165,8 +165,8 @@ def _write_reference(
 
 _HOW = {
     "c": """\
-Compile the source with any C99 compiler and link the C library of mathematics:
-`cc -O3 -ffast-math -c {first}` is allowed if depths are finite. Include the header, allocate
+Compile the source with any C99 compiler and link the C library of mathematics (-lm):
+`cc -O3 -c {first}`. Include the header, allocate
 what `jaxblur_{filter}_scratch_bytes` says, and call `jaxblur_{filter}`. It keeps no state, and
 threads may call it at once, each with scratch memory of its own.""",
     "wgsl": """\
