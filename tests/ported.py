@@ -19,35 +19,48 @@ from .browser import SHADERS, chromium
 FLAGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
 
 
-def run_c(graph, text, folder, planes, parameters=None):
-    """Compile a filter that was printed as C, and run it on planes by name."""
+def compile_c(name, source, header, folder):
+    """Compile a printed filter without a warning."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
         pytest.skip("needs a C compiler: apt install gcc")
-    name = f"jaxblur_{graph.filter.name}"
     folder = pathlib.Path(folder)
-    (folder / f"{name}.h").write_text(text.header)
-    (folder / f"{name}.c").write_text(text.source)
+    (folder / f"{name}.h").write_text(header)
+    (folder / f"{name}.c").write_text(source)
     library = folder / f"{name}.so"
     arguments = [compiler, *FLAGS, "-o", library, folder / f"{name}.c", "-lm"]
     subprocess.run(arguments, check=True, cwd=folder)
-    loaded = ctypes.CDLL(str(library))
-    height, width = planes["color"].shape[:2]
-    scratch_bytes = getattr(loaded, f"{name}_scratch_bytes")
+    return ctypes.CDLL(str(library))
+
+
+def run_library(library, name, inputs, shape, parameters=None):
+    """Run a compiled filter on its inputs in order."""
+    height, width = shape[:2]
+    scratch_bytes = getattr(library, f"{name}_scratch_bytes")
     scratch_bytes.restype = ctypes.c_size_t
     # Rubbish in the working memory must not matter.
     scratch = np.full(scratch_bytes(width, height) + 4, 0x7F, np.uint8)
-    out = np.full((height, width, graph.channels), np.nan, np.float32)
+    out = np.full(shape, np.nan, np.float32)
     values = None
     if parameters is not None:
         values = (ctypes.c_float * len(parameters))(*parameters)
-    given = [np.ascontiguousarray(planes[buffer.name], np.float32) for buffer in graph.inputs]
+    given = [np.ascontiguousarray(array, np.float32) for array in inputs]
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (*given, out, scratch)]
-    assert getattr(loaded, name)(values, width, height, *pointers) == 0
+    assert getattr(library, name)(values, width, height, *pointers) == 0
     return out
 
 
-PAGE = """<!doctype html><meta charset="utf-8"><script>{webgpu}</script><script>{webgl}</script><script>
+def run_c(graph, text, folder, planes, parameters=None):
+    """Compile a filter that was printed as C, and run it on planes by name."""
+    name = f"jaxblur_{graph.filter.name}"
+    library = compile_c(name, text.source, text.header, folder)
+    inputs = [planes[buffer.name] for buffer in graph.inputs]
+    shape = (*planes["color"].shape[:2], graph.channels)
+    return run_library(library, name, inputs, shape, parameters)
+
+
+PAGE = """<!doctype html><meta charset="utf-8">
+<script>{webgpu}</script><script>{webgl}</script><script>
 function floats(text) {{
   return new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 }}

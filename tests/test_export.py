@@ -255,10 +255,10 @@ def test_settings_that_cannot_be_exported_are_refused():
         graph_of(info, settings=settings_of("guertin2014", radius=2001))
     with pytest.raises(ValueError, match="`channels` must be at least 1"):
         graph_of(info, channels=0)
-    with pytest.raises(ValueError, match="`settings.samples` must be odd"):
+    with pytest.raises(ValueError, match=r"`settings\.samples` must be odd"):
         graph_of(filter_info("mcguire2012"), settings=settings_of("mcguire2012", samples=8))
     graph = graph_of(filter_info("layered"))
-    with pytest.raises(NotExpressible, match="draw_pixel keeps the largest of marks.*use wgsl"):
+    with pytest.raises(NotExpressible, match=r"draw_pixel keeps the largest of marks.*use wgsl"):
         sources_of(graph, "glsl")
 
 

@@ -1,11 +1,11 @@
 """Filters as source text for other hosts: C, WGSL, HLSL and GLSL, from the trace that JAX runs.
 
-Imports nothing of jaxblur but `_util`, `exr`, `filters`, `frame`, `kernels`, `noise` and `settings`.
-The README says how it works and what is not covered.
+Imports nothing of jaxblur but `_util`, `exr`, `filters`, `frame`, `kernels`, `noise` and
+`settings`. The README says how it works and what is not covered.
 """
 
-from .graph import Graph as Graph, graph_of as graph_of
 from .expressions import NotExpressible as NotExpressible
+from .graph import Graph as Graph, graph_of as graph_of
 from .package import (
     LANGUAGES as LANGUAGES,
     Language as Language,

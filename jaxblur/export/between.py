@@ -38,7 +38,6 @@ class Number(NamedTuple):
     of: tuple[str, ...] = ()
 
 
-
 def number_of(wire: Any, look: Callable[[Any], Any]) -> Number:
     """A number that a pass gets, from the parameters of the filter.
 
@@ -92,7 +91,7 @@ class Between:
         self,
         wire: Any,
         look: Callable[[Any], Any],
-        buffers: dict[Any, Any],
+        buffer_of: Callable[[Any], Any],
         height: int,
         width: int,
         name: str,
@@ -102,12 +101,12 @@ class Between:
         Args:
             wire: the image.
             look: see `number_of`.
-            buffers: the wires that are in memory.
+            buffer_of: the buffer that holds a wire's elements in their order, or None.
             height: rows of the frame while it is traced.
             width: columns of the frame while it is traced.
             name: of the program.
         """
-        self._wire, self._look, self._buffers = wire, look, buffers
+        self._wire, self._look, self._buffer_of = wire, look, buffer_of
         self._size = height, width
         self._name = name
         self._sources: list[Any] = []
@@ -118,7 +117,7 @@ class Between:
         if isinstance(wire, np.ndarray) or wire in seen:
             return
         seen.add(wire)
-        if wire in self._buffers:
+        if self._buffer_of(wire) is not None:
             self._sources.append(wire)
             return
         found = self._look(wire)
@@ -150,7 +149,7 @@ class Between:
             return Outcome(tuple(jnp.asarray(box.value) for box in values.reshape(-1)))
 
         program.__name__ = self._name
-        buffers = [self._buffers[wire] for wire in self._sources]
+        buffers = [self._buffer_of(wire) for wire in self._sources]
         images = tuple(Image(jnp.zeros((1, 1, b.channels), b.dtype)) for b in buffers)
         numbers = tuple(jnp.float32(0) for _ in self.number_names)
         return trace(program, images, numbers, None), buffers, list(map(Number, self.number_names))
@@ -219,36 +218,53 @@ def _apply(
     name, params = step.primitive.name, step.params
     if name in ELEMENTWISE:
         return _elementwise(step.primitive, params, inputs, shape)
-    if name in ("reshape", "squeeze", "expand_dims"):
-        return inputs[0].reshape(shape)
-    if name == "broadcast_in_dim":
-        axes = params["broadcast_dimensions"]
-        sides = [1] * len(shape)
-        for axis, side in zip(axes, inputs[0].shape, strict=True):
-            sides[axis] = side
-        return np.broadcast_to(inputs[0].reshape(sides), shape)
-    if name == "transpose":
-        return np.transpose(inputs[0], params["permutation"])
-    if name == "concatenate":
-        return np.concatenate(inputs, axis=params["dimension"])
-    if name == "stack":
-        return np.stack(inputs, axis=params["axis"])
-    if name == "unstack" and step.inputs[0].shape[params["axis"]] not in size:
-        return np.moveaxis(inputs[0], params["axis"], 0)[part]
-    if name == "split" and step.inputs[0].shape[params["axis"]] not in size:
-        ends = np.cumsum(params["sizes"])[:-1]
-        return np.split(inputs[0], ends, axis=params["axis"])[part]
+    if name in _MOVES and not (name in _CUTS and step.inputs[0].shape[params["axis"]] in size):
+        return _MOVES[name](inputs, params, shape, part)
     if name == "slice":
         return _slice(step, inputs[0], size)
     if name == "iota" and at is not None:
         return _iota(step, at, size, shape)
     if name == "reduce_sum":
         if any(step.inputs[0].shape[axis] in size for axis in params["axes"]):
-            raise ValueError("a sum over a frame between passes.")
+            raise ValueError("a sum over a frame between passes; compute it in `each_pixel`.")
         return _boxed_sum(inputs[0], tuple(params["axes"]), shape)
     raise ValueError(
         f"the operation {name} between passes has no printed form; compute it in `each_pixel`."
     )
+
+
+def _reshaped(inputs: list[np.ndarray], _: Any, shape: tuple[int, ...], __: int) -> np.ndarray:
+    if inputs[0].size != np.prod(shape):
+        raise ValueError("a reshape of a frame's rows and columns between passes.")
+    return inputs[0].reshape(shape)
+
+
+def _broadcast(inputs: list[np.ndarray], params: Any, shape: Any, _: int) -> np.ndarray:
+    sides = [1] * len(shape)
+    for axis, side in zip(params["broadcast_dimensions"], inputs[0].shape, strict=True):
+        sides[axis] = side
+    return np.broadcast_to(inputs[0].reshape(sides), shape)
+
+
+def _part_of_split(inputs: list[np.ndarray], params: Any, _: Any, part: int) -> np.ndarray:
+    ends = np.cumsum(params["sizes"])[:-1]
+    return np.split(inputs[0], ends, axis=params["axis"])[part]
+
+
+_MOVES: dict[str, Callable[..., np.ndarray]] = {
+    "reshape": _reshaped,
+    "squeeze": _reshaped,
+    "expand_dims": _reshaped,
+    "broadcast_in_dim": _broadcast,
+    "transpose": lambda inputs, params, *_: np.transpose(inputs[0], params["permutation"]),
+    "concatenate": lambda inputs, params, *_: np.concatenate(inputs, axis=params["dimension"]),
+    "stack": lambda inputs, params, *_: np.stack(inputs, axis=params["axis"]),
+    "unstack": lambda inputs, params, _, part: np.moveaxis(inputs[0], params["axis"], 0)[part],
+    "split": _part_of_split,
+}
+"""Operations that move values without changing them."""
+
+_CUTS = ("unstack", "split")
 
 
 def _slice(step: Any, values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -272,9 +288,7 @@ def _elementwise(
         zip(*(array.reshape(-1) for array in np.broadcast_arrays(*inputs)), strict=True),
         strict=True,
     ):
-        result[place] = Boxed(
-            primitive.bind(*(jnp.asarray(box.value) for box in values), **params)
-        )
+        result[place] = Boxed(primitive.bind(*(jnp.asarray(box.value) for box in values), **params))
     return result
 
 

@@ -110,9 +110,7 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
     pixel = Value("pixel_index", "int32")
     needed = needed_for(jaxpr.eqns, jaxpr.outvars)
     used = {v for e in needed for v in map(id, e.invars)} | set(map(id, jaxpr.outvars))
-    for kind, name, operand in zip(
-        node.run.traced.kinds, node.run.names, node.inputs, strict=True
-    ):
+    for kind, name, operand in zip(node.run.traced.kinds, node.run.names, node.inputs, strict=True):
         if isinstance(operand, Number):
             variable = jaxpr.invars[len(inputs)]
             inputs.append(_number(operand, name, head, host, id(variable) in used))
@@ -129,6 +127,7 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
                 value = Value(code, kind.dtype)
                 own.append((variable, value, f"own_{_channel_name(table, channel)}"))
             inputs.append(pixel)
+    printer.unnamed = node.output.name if node.name.startswith("make_") else "value"
     printer.begin(jaxpr, inputs, own)
     _write_outcome(node, host, printer, bound)
     return Body(head.lines, printer.lines, [Binding(n, b) for b, n in bound.items()])
@@ -180,6 +179,7 @@ def _number(number: Number, name: str, head: Printer, host: Host, used: bool) ->
         return head.define(Value(host.parameter(number.name), "float32"), name)
     jaxpr = number.jaxpr.jaxpr
     inputs = [Value(host.parameter(parameter), "float32") for parameter in number.of]
+    head.unnamed = name
     head.begin(jaxpr, inputs)
     (value,) = head.write(jaxpr.eqns, jaxpr.outvars)
     return value if value.code.isidentifier() else head.define(value, name)

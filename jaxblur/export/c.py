@@ -72,7 +72,9 @@ def print_c(graph: Graph) -> Text:
     name = f"jaxblur_{graph.filter.name}"
     host = _Host()
     bodies = [write_body(node, host, 3) for node in graph.nodes]
-    functions = [_function(node, body, name) for node, body in zip(graph.nodes, bodies, strict=True)]
+    functions = [
+        _function(node, body, name) for node, body in zip(graph.nodes, bodies, strict=True)
+    ]
     marks = ""
     if any(node.run.kind == "marks" for node in graph.nodes):
         marks = (
@@ -180,9 +182,7 @@ def _entry(graph: Graph, bodies: list[Body], name: str) -> str:
 
 def _largest(graph: Graph) -> str:
     """The size of the largest buffer, whose indices must fit 32 bits."""
-    factor = max(
-        b.channels * (b.size.factor if b.size.of == "stack" else 1) for b in graph.buffers
-    )
+    factor = max(b.channels * (b.size.factor if b.size.of == "stack" else 1) for b in graph.buffers)
     return f"(int64_t)height * width * {factor}"
 
 

@@ -144,4 +144,3 @@ def _title(graph: Graph, mark: str) -> str:
 
 def _comment(text: str, mark: str) -> str:
     return "\n".join(f"{mark} {line}" for line in textwrap.wrap(text, 92))
-

@@ -5,7 +5,7 @@ from .expressions import Dialect
 _COMMON = {
     **{name: name for name in ("ceil", "cos", "exp", "exp2", "floor", "log", "pow", "sin", "sqrt")},
     **{name: name for name in ("tan", "tanh", "abs", "max", "min")},
-    **{"abs_int": "abs", "max_int": "max", "min_int": "min", "round_away": "round_away"},
+    **{"abs_int": "abs", "max_int": "max", "min_int": "min"},
 }
 _LARGEST = "3.4028234e38"
 

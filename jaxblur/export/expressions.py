@@ -1,4 +1,4 @@
-"""Expressions of the targets: values, operators by their binding, and what the languages differ in."""
+"""Expressions: values, operators by how tightly they bind, and what the languages differ in."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -133,60 +133,112 @@ class Dialect:
         if name in _COMPARISONS:
             a, b = (value.within(SUM) for value in inputs)
             return Value(f"{a} {_COMPARISONS[name]} {b}", "bool", LOOSE)
-        if name in ("and", "or", "xor"):
-            symbol = _LOGIC[name][dtype == "bool"]
-            a, b = (value.within(ATOM) for value in inputs)
-            return Value(f"{a} {symbol} {b}", dtype, LOOSE)
-        if name == "not":
-            return Value(f"{'!' if dtype == 'bool' else '~'}{inputs[0].within(ATOM)}", dtype)
-        if name == "neg":
-            return Value(f"-{inputs[0].within(ATOM)}", dtype, LOOSE)
-        if name == "select_n" and inputs[0].dtype == "bool" and len(inputs) == 3:
-            which, other, usual = (value.within(ATOM) for value in inputs)
-            code = self.select(which, usual, other)
-            return Value(code, dtype, ATOM if code.startswith("select(") else LOOSE)
-        if name == "square":
-            a = inputs[0].within(ATOM)
-            return Value(f"{a} * {a}", dtype, PRODUCT)
-        if name == "integer_pow":
-            return self._power(params["y"], inputs[0], dtype)
-        if name == "clamp":
-            low, value, high = inputs
-            raised = self._call("max", [value, low], dtype)
-            return self._call("min", [raised, high], dtype)
-        if name == "rem" and dtype == "int32":
-            a, b = (value.within(ATOM) for value in inputs)
-            code = self.remainder.format(a, b)
-            return Value(code, dtype, PRODUCT if self.remainder.startswith("{0}") else ATOM)
-        if name == "shift_right_arithmetic":
-            a, b = (value.within(ATOM) for value in inputs)
-            return Value(self.shift.format(a, b), dtype, LOOSE)
-        if name == "rsqrt":
-            return Value(f"1.0{self.suffix} / {self._call('sqrt', inputs, dtype).code}", dtype, PRODUCT)
-        if name == "round":
-            even = params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
-            name = "round_even" if even else "round_away"
+        if name in _WRITTEN:
+            return _WRITTEN[name](self, params, inputs, dtype)
         if dtype == "int32" and name in ("max", "min", "abs", "sign"):
             name = f"{name}_int"
-        return self._call(name, inputs, dtype)
+        return self.call(name, inputs, dtype)
 
-    def _call(self, name: str, inputs: Sequence[Value], dtype: str) -> Value:
+    def call(self, name: str, inputs: Sequence[Value], dtype: str) -> Value:
+        """A call of the function that the language has for an operation.
+
+        Raises:
+            NotExpressible: it has none.
+        """
         if name not in self.functions:
             raise NotExpressible(f"{self.name}: the operation {name} has no form.")
         return Value(f"{self.functions[name]}({', '.join(v.code for v in inputs)})", dtype)
-
-    def _power(self, exponent: int, value: Value, dtype: str) -> Value:
-        if not 1 <= abs(exponent) <= 8:
-            raise NotExpressible(f"{self.name}: a power of {exponent}.")
-        product = " * ".join([value.within(ATOM)] * abs(exponent))
-        if exponent > 0:
-            return Value(product, dtype, PRODUCT)
-        return Value(f"1.0{self.suffix} / ({product})", dtype, PRODUCT)
 
 
 _BINARY = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
 _COMPARISONS = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
 _LOGIC = {"and": ("&", "&&"), "or": ("|", "||"), "xor": ("^", "!=")}
+
+
+def _logic(name: str) -> Callable[..., Value]:
+    def write(_: Dialect, __: Any, inputs: Sequence[Value], dtype: str) -> Value:
+        a, b = (value.within(ATOM) for value in inputs)
+        return Value(f"{a} {_LOGIC[name][dtype == 'bool']} {b}", dtype, LOOSE)
+
+    return write
+
+
+def _not(_: Dialect, __: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    return Value(f"{'!' if dtype == 'bool' else '~'}{inputs[0].within(ATOM)}", dtype)
+
+
+def _negative(_: Dialect, __: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    return Value(f"-{inputs[0].within(ATOM)}", dtype, LOOSE)
+
+
+def _choice(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    if inputs[0].dtype != "bool" or len(inputs) != 3:
+        raise NotExpressible(f"{dialect.name}: a choice of more than two values.")
+    which, other, usual = (value.within(ATOM) for value in inputs)
+    code = dialect.select(which, usual, other)
+    return Value(code, dtype, ATOM if code.startswith("select(") else LOOSE)
+
+
+def _square(_: Dialect, __: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    a = inputs[0].within(ATOM)
+    return Value(f"{a} * {a}", dtype, PRODUCT)
+
+
+def _clamp(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    low, value, high = inputs
+    ends = ("max_int", "min_int") if dtype == "int32" else ("max", "min")
+    return dialect.call(ends[1], [dialect.call(ends[0], [value, low], dtype), high], dtype)
+
+
+def _remainder(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    if dtype != "int32":
+        return dialect.call("rem", inputs, dtype)
+    a, b = (value.within(ATOM) for value in inputs)
+    binds = PRODUCT if dialect.remainder.startswith("{0}") else ATOM
+    return Value(dialect.remainder.format(a, b), dtype, binds)
+
+
+def _shift(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    a, b = (value.within(ATOM) for value in inputs)
+    return Value(dialect.shift.format(a, b), dtype, LOOSE)
+
+
+def _inverse_root(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    return Value(
+        f"1.0{dialect.suffix} / {dialect.call('sqrt', inputs, dtype).code}", dtype, PRODUCT
+    )
+
+
+def _round(dialect: Dialect, params: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    even = params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
+    return dialect.call("round_even" if even else "round_away", inputs, dtype)
+
+
+def _power(dialect: Dialect, params: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    exponent = params["y"]
+    if not 1 <= abs(exponent) <= 8:
+        raise NotExpressible(f"{dialect.name}: a power of {exponent}.")
+    product = " * ".join([inputs[0].within(ATOM)] * abs(exponent))
+    if exponent > 0:
+        return Value(product, dtype, PRODUCT)
+    return Value(f"1.0{dialect.suffix} / ({product})", dtype, PRODUCT)
+
+
+_WRITTEN: dict[str, Callable[..., Value]] = {
+    "and": _logic("and"),
+    "or": _logic("or"),
+    "xor": _logic("xor"),
+    "not": _not,
+    "neg": _negative,
+    "select_n": _choice,
+    "square": _square,
+    "clamp": _clamp,
+    "rem": _remainder,
+    "shift_right_arithmetic": _shift,
+    "rsqrt": _inverse_root,
+    "round": _round,
+    "integer_pow": _power,
+}
 
 
 def _binary(name: str, inputs: Sequence[Value], dtype: str) -> Value:
@@ -206,9 +258,7 @@ def _binary(name: str, inputs: Sequence[Value], dtype: str) -> Value:
             return Value(f"{first.within(SUM)} - {-number}", dtype, SUM)
     level = SUM if name in ("add", "add_any", "sub") else PRODUCT
     # To the right a sum within a sum keeps its parentheses, for its rounding.
-    return Value(
-        f"{first.within(level)} {_BINARY[name]} {second.within(level + 1)}", dtype, level
-    )
+    return Value(f"{first.within(level)} {_BINARY[name]} {second.within(level + 1)}", dtype, level)
 
 
 def _place(base: Value, factor: int, distance: int) -> Value:

@@ -24,6 +24,7 @@ from ..kernels.tracing import trace
 from ..noise import Noise
 from ..settings import Settings
 from .between import Between, Number, number_of
+from .names import Names
 from .noise import tap_noise, tile_noise
 
 HEIGHT, WIDTH = 5003, 20011
@@ -106,6 +107,11 @@ class Node:
     output: Buffer
     size: Size
     text: str
+
+    @property
+    def images(self) -> list[Buffer]:
+        """The buffers among its inputs."""
+        return [operand.buffer for operand in self.inputs if isinstance(operand, View)]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -199,7 +205,7 @@ def graph_of(
         noise = None
         if "noise_tap" in planes:
             noise = Noise(planes["noise_tap"], planes["noise_tile"])
-        frame = Frame(*(planes.get(name) for name in ("color", "depth", "velocity", "path")))
+        frame = Frame(planes["color"], planes["depth"], planes["velocity"], planes.get("path"))
         given = info.make_parameters(**dict(zip(names, numbers, strict=True)))
         return info.call(frame, given, settings=settings, noise=noise)
 
@@ -261,11 +267,13 @@ class _Builder:
             raise ValueError(f"{self.info.name} returns an input; there is nothing to export.")
         output.role, output.name = "output", "blurred"
         inputs = self._with_noise(inputs)
-        used = {view.buffer for node in self.nodes for view in node.inputs if _is_view(view)}
+        used = {buffer for node in self.nodes for buffer in node.images}
         used |= {node.kept for node in self.nodes if node.kept is not None}
         work = [node.output for node in self.nodes if node.output is not output]
         buffers = [*(b for b in inputs if b in used), *work, output]
         _make_unique(buffers)
+        names = Names()
+        self.nodes = [dataclasses.replace(n, name=names.new(n.name)) for n in self.nodes]
         return Graph(self.info, self.settings, self.defaults, self.channels, buffers, self.nodes)
 
     def _with_noise(self, inputs: list[Buffer]) -> list[Buffer]:
@@ -278,15 +286,13 @@ class _Builder:
             if program is None:
                 left.append(buffer)
                 continue
-            if not any(buffer in (v.buffer for v in n.inputs if _is_view(v)) for n in self.nodes):
+            if not any(buffer in node.images for node in self.nodes):
                 continue
             buffer.role = "work"
             traced = trace(program, (), None, None)
             text = _first_paragraph(program.__doc__)
             run = Pass("pixel", traced, program=program)
-            self.nodes.insert(
-                0, Node(program.__name__, run, (), None, buffer, buffer.size, text)
-            )
+            self.nodes.insert(0, Node(program.__name__, run, (), None, buffer, buffer.size, text))
         return left
 
     def _flattened(self, jaxpr: Any, constants: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
@@ -296,7 +302,7 @@ class _Builder:
 
         def look(atom: Any) -> Any:
             if isinstance(atom, core.Literal):
-                return np.asarray(atom.val, atom.aval.dtype)
+                return np.asarray(atom.val, getattr(atom.aval, "dtype", None))
             return known[atom]
 
         for equation in jaxpr.eqns:
@@ -325,7 +331,7 @@ class _Builder:
         operands = list(step.inputs)
         kept = operands.pop() if len(operands) > len(run.names) else None
         for kind, name, operand in zip(run.traced.kinds, run.names, operands, strict=True):
-            short = _short(name)
+            short = name or "image"
             if not kind.channels:
                 size_name = next(sizes, None)
                 number = Number(size_name) if size_name else number_of(operand, self._look())
@@ -356,7 +362,7 @@ class _Builder:
             count = shape[0] // (HEIGHT * WIDTH)
             if count * HEIGHT * WIDTH != shape[0]:
                 raise ValueError(f"`{run.traced.name}` leaves marks in a table that is no image.")
-            return Size("stack", count)
+            return Size("stack", count) if count > 1 else Size("frame")
         return self._size(shape[:2])
 
     def _size(self, shape: tuple[int, ...]) -> Size:
@@ -391,6 +397,10 @@ class _Builder:
             break
         return wire
 
+    def _found(self, wire: Any) -> Buffer | None:
+        """The buffer that a wire is in, if there is one."""
+        return self.buffers.get(self._whole(wire))
+
     def _buffer_of(self, wire: Any, name: str, run: Pass | None = None) -> Buffer:
         """The buffer of a wire; a pass that fills it is added if there is none yet."""
         whole = self._whole(wire)
@@ -400,7 +410,7 @@ class _Builder:
                 buffer.name = name
             return buffer
         size = self._size(wire.shape[:2])
-        between = Between(wire, self._look(), self.buffers, HEIGHT, WIDTH, f"make_{name}")
+        between = Between(wire, self._look(), self._found, HEIGHT, WIDTH, f"make_{name}")
         traced, sources, numbers = between.traced()
         for source in sources:
             if source.size != size:
@@ -450,15 +460,6 @@ def _has_pass(jaxpr: Any) -> bool:
                 if isinstance(one, core.Jaxpr | core.ClosedJaxpr) and _has_pass(opened(one)[0]):
                     return True
     return False
-
-
-def _is_view(operand: View | Number) -> bool:
-    return isinstance(operand, View)
-
-
-def _short(name: str) -> str:
-    """The last field of an input's name that says something."""
-    return name or "image"
 
 
 def _name_of(program: Any) -> str:

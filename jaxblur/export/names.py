@@ -9,15 +9,9 @@ import pathlib
 import re
 from typing import Any, NamedTuple
 
-import jax
-import numpy as np
-
-_SKIPPED = tuple(
-    str(pathlib.Path(module).parent) + "/"
-    for module in (jax.__file__, np.__file__, functools.__file__)
-)
-_ENGINE = str(pathlib.Path(__file__).parents[1] / "kernels") + "/"
-_OWN = str(pathlib.Path(__file__).parent / "between.py")
+_PACKAGE = pathlib.Path(__file__).parents[1]
+_ENGINE = (str(_PACKAGE / "kernels") + "/", str(_PACKAGE / "export" / "between.py"))
+_LIBRARY = str(pathlib.Path(functools.__file__).parent) + "/"
 
 RESERVED = frozenset(
     """
@@ -57,15 +51,16 @@ def origin_of(equation: Any) -> Origin:
     traceback = equation.source_info.traceback
     if traceback is None:
         return Origin(("value",), ())
-    frames = []
-    for frame in traceback.frames:
-        file = frame.file_name
-        if file.startswith(_SKIPPED) or file == _OWN or file.startswith("<"):
-            continue
-        if file.startswith(_ENGINE):
-            continue
-        frames.append(frame)
+    frames = [frame for frame in traceback.frames if _is_of_author(frame.file_name)]
     return _of_frames(tuple((f.file_name, f.line_num, f.function_name) for f in frames[:6]))
+
+
+@functools.cache
+def _is_of_author(file: str) -> bool:
+    """Whether a file may hold the program, rather than what runs it."""
+    if file.startswith(str(_PACKAGE)):
+        return not file.startswith(_ENGINE)
+    return not (file.startswith(("<", _LIBRARY)) or "site-packages" in file)
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """The built-in noise as programs of one pixel: interleaved gradient noise, in whole numbers.
 
-The same bits as `jaxblur.make_noise("ign", ...)`, by arithmetic that fits 32 bits with a sign, which
-every target has.
+The same bits as `jaxblur.noise.make_noise("ign", ...)`, by arithmetic that fits 32 bits with a
+sign, which every target has.
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""The folder that `jaxblur export` writes: sources, plan, README, and a frame to test a port with."""
+"""The folder that `jaxblur export` writes: sources, plan, README, a frame to test a port with."""
 
 import hashlib
 import json
@@ -12,13 +12,12 @@ import numpy as np
 
 from .. import exr
 from .._util.errors import JaxblurIOError
-from ..frame import Frame
 from .c import print_c
 from .compute import print_hlsl, print_wgsl
 from .fragments import print_glsl, textures_of
 from .graph import Buffer, Graph
 from .plan import GROUP, plan_of
-from .reference import SHARE, TOLERANCE, expected_of, reference_planes
+from .reference import SHARE, TOLERANCE, expected_of, frame_of, reference_planes
 
 Language = Literal["c", "wgsl", "glsl", "hlsl"]
 LANGUAGES: tuple[Language, ...] = ("c", "wgsl", "glsl", "hlsl")
@@ -138,14 +137,15 @@ def _write_reference(
     """Raw float32 values, their shapes, and the frame and the result as EXR."""
     folder.mkdir()
     height, width = expected.shape[:2]
-    arrays = planes | {graph.output.name: expected}
+    inputs = {buffer.name: planes[buffer.name] for buffer in graph.inputs}
+    arrays = inputs | {graph.output.name: expected}
     for name, array in arrays.items():
         (folder / f"{name}.bin").write_bytes(array.astype("<f4").tobytes())
     description: dict[str, Any] = {
         "height": height,
         "width": width,
         "type": "float32, little-endian, row by row from the top, channels together",
-        "inputs": {name: list(array.shape) for name, array in planes.items()},
+        "inputs": {name: list(array.shape) for name, array in inputs.items()},
         "expected": {graph.output.name: list(expected.shape)},
         "parameters": graph.parameters,
         "tolerance": TOLERANCE,
@@ -153,13 +153,7 @@ def _write_reference(
     }
     text = json.dumps(description, indent=1) + "\n"
     (folder / "reference.json").write_text(text, encoding="utf-8")
-    if "depth" in planes and "velocity" in planes:
-        path = planes.get("path")
-        frame = Frame(
-            *(planes["color"], planes["depth"][..., 0], planes["velocity"]),
-            path if path is None else path.reshape(height, width, 2, 2),
-        )
-        exr.write_frame(folder / "frame.exr", frame, 1.0)
+    exr.write_frame(folder / "frame.exr", frame_of(planes), 1.0)
     exr.write_image(folder / "expected.exr", expected, dtype="float")
 
 
@@ -198,8 +192,9 @@ def readme_of(graph: Graph, language: Language, sources: list[str], digest: str)
     lines = [
         f"# {info.name} in {language.upper()}",
         "",
-        f"{info.summary[:1].upper()}{info.summary[1:]}. Printed by jaxblur from the program that",
-        "JAX runs, so that it computes the same picture. Do not edit; export again.",
+        f"{info.summary[:1].upper()}{info.summary[1:]}.",
+        "",
+        "Printed by jaxblur from the program that JAX runs. Do not edit; export again.",
         "",
         how,
         "",
@@ -237,8 +232,8 @@ def readme_of(graph: Graph, language: Language, sources: list[str], digest: str)
         "",
         "Images are row by row from the top, the channels of a pixel together. Color is linear,",
         "alpha premultiplied. Velocity is half of the motion while the shutter is open, in pixels, x",
-        "to the right and y down. Depth is positive along the view axis; write 1e18 for the sky, since",
-        "shaders may not count on infinity. Inputs must not be NaN."
+        "to the right and y down. Depth is positive along the view axis; write 1e18 for the sky,",
+        "since shaders may not count on infinity. Inputs must not be NaN."
         + (
             " Path is the displacement at opening (x, y) and closing (x, y)."
             if any(b.name == "path" for b in graph.inputs)

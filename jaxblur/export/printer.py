@@ -43,6 +43,7 @@ class Printer:
 
     Attributes:
         lines: what is written so far, indented.
+        unnamed: name of values whose author gave them none.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Printer:
             program: name of the program, whose results have no names.
         """
         self._program = program
+        self.unnamed = "value"
         self.dialect, self.names, self._read = dialect, names, read
         self.lines: list[str] = []
         self._depth = depth
@@ -94,7 +96,10 @@ class Printer:
             self._depth += 1
 
     def begin(
-        self, jaxpr: Any, inputs: Sequence[Value | Table], own: Sequence[tuple[Any, Value, str]] = ()
+        self,
+        jaxpr: Any,
+        inputs: Sequence[Value | Table],
+        own: Sequence[tuple[Any, Value, str]] = (),
     ) -> None:
         """Take up a program.
 
@@ -203,21 +208,26 @@ class Printer:
         elif name in _SAME:
             self._values[equation.outvars[0]] = self.value(equation.invars[0])
         elif name == "gather":
-            table, index = self.value(equation.invars[0]), self.scalar(equation.invars[1])
-            if not isinstance(table, Table):
-                raise NotExpressible(f"{self.dialect.name}: a read of what is no image.")
-            self._keep(
-                *(equation, equation.outvars[0], Value(self._read(table, index), table.dtype))
-            )
+            self._write_read(equation)
         else:
-            if equation.primitive.multiple_results or equation.outvars[0].aval.ndim:
-                raise NotExpressible(f"{self.dialect.name}: the operation {name} has no form.")
-            inputs = [self.scalar(atom) for atom in equation.invars]
+            self._write_operation(equation)
+
+    def _write_read(self, equation: Any) -> None:
+        table, index = self.value(equation.invars[0]), self.scalar(equation.invars[1])
+        if not isinstance(table, Table):
+            raise NotExpressible(f"{self.dialect.name}: a read of what is no image.")
+        self._keep(equation, equation.outvars[0], Value(self._read(table, index), table.dtype))
+
+    def _write_operation(self, equation: Any) -> None:
+        name = equation.primitive.name
+        if equation.primitive.multiple_results or equation.outvars[0].aval.ndim:
+            raise NotExpressible(f"{self.dialect.name}: the operation {name} has no form.")
+        inputs = [self.scalar(atom) for atom in equation.invars]
+        value = folded(equation, inputs, self.dialect)
+        if value is None:
             dtype = equation.outvars[0].aval.dtype
-            value = folded(equation, inputs, self.dialect)
-            if value is None:
-                value = self.dialect.operation(name, equation.params, inputs, dtype)
-            self._keep(equation, equation.outvars[0], value)
+            value = self.dialect.operation(name, equation.params, inputs, dtype)
+        self._keep(equation, equation.outvars[0], value)
 
     def _keep(self, equation: Any, variable: Any, value: Value) -> None:
         """Name a value, or leave it to be written where it is used."""
@@ -244,7 +254,9 @@ class Printer:
     def _wanted(self, origin: Origin, variable: Any) -> str:
         """The name of a value: the parts of a tuple are taken in turn where they leave it."""
         if len(origin.names) == 1:
-            return "result" if origin.names[0] == self._program else origin.names[0]
+            if origin.names[0] == self._program:
+                return "result"
+            return origin.names[0] if origin.statement else self.unnamed
         if self._stays(variable, origin):
             return "part"
         number = self._given[origin.statement]
@@ -346,9 +358,7 @@ class Printer:
         ]
         several = len(changed) > 1
         new_values = [
-            self.define(new, f"next_{old.code}")
-            if several and new.binds != ATOM
-            else new
+            self.define(new, f"next_{old.code}") if several and new.binds != ATOM else new
             for old, new in changed
         ]
         for (old, _), new in zip(changed, new_values, strict=True):
@@ -411,4 +421,3 @@ def folded(equation: Any, inputs: Sequence[Value], dialect: Dialect) -> Value | 
 
 def _varies(atom: Any) -> bool:
     return not isinstance(atom, core.Literal)
-

@@ -1,7 +1,5 @@
 """A small frame with its expected output, so that a port can test itself."""
 
-from typing import Any
-
 import jax
 import numpy as np
 
@@ -20,13 +18,13 @@ FAR = 1e18
 
 
 def reference_planes(graph: Graph) -> dict[str, np.ndarray]:
-    """The inputs of the reference frame by name: a turning wheel and a bar pass before a wall.
+    """The buffers of the reference frame by name: a turning wheel and a bar pass before a wall.
 
     Args:
         graph: the filter.
 
     Returns:
-        float32 arrays (H, W, channels) for every input of the filter.
+        float32 arrays (H, W, channels): color, depth and velocity, and what else the filter reads.
     """
     row, column = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
     tone = np.arange(graph.channels) / 3
@@ -58,11 +56,21 @@ def reference_planes(graph: Graph) -> dict[str, np.ndarray]:
         "noise_tap": noise.tap,
         "noise_tile": noise.tile,
     }
-    wanted = {buffer.name: buffer.channels for buffer in graph.inputs}
+    wanted = {"color": graph.channels, "depth": 1, "velocity": 2}
+    wanted |= {buffer.name: buffer.channels for buffer in graph.inputs}
     return {
         name: np.asarray(planes[name], np.float32).reshape(HEIGHT, WIDTH, channels)
         for name, channels in wanted.items()
     }
+
+
+def frame_of(planes: dict[str, np.ndarray]) -> Frame:
+    """The frame of some buffers, each (H, W, channels)."""
+    height, width = planes["color"].shape[:2]
+    path = None
+    if "path" in planes:
+        path = planes["path"].reshape(height, width, 2, 2)
+    return Frame(planes["color"], planes["depth"][..., 0], planes["velocity"], path)
 
 
 def expected_of(graph: Graph, planes: dict[str, np.ndarray]) -> np.ndarray:
@@ -70,19 +78,12 @@ def expected_of(graph: Graph, planes: dict[str, np.ndarray]) -> np.ndarray:
 
     Args:
         graph: the filter.
-        planes: its inputs by name, (H, W, channels) each.
+        planes: its buffers by name, (H, W, channels) each.
 
     Returns:
         (H, W, C) float32.
     """
-    height, width = planes["color"].shape[:2]
-    still: Any = np.zeros((height, width, 2), np.float32)
-    frame = Frame(
-        planes["color"],
-        planes.get("depth", np.ones((height, width), np.float32)).reshape(height, width),
-        planes.get("velocity", still),
-        None if "path" not in planes else planes["path"].reshape(height, width, 2, 2),
-    )
+    frame = frame_of(planes)
     # Built-in noise is the same here and in the port, and `halton` is that of the planes.
     parameters = graph.filter.make_parameters(**graph.parameters)
     result = graph.filter.call(frame, parameters, settings=graph.settings)

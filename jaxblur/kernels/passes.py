@@ -75,8 +75,8 @@ def _record(run: Pass) -> None:
 
 
 pass_primitive = Primitive("pass")
-"""A whole pass as one equation, see `passes_as_equations`. Its operands are the inputs, and the image
-kept if there is one."""
+"""A whole pass as one equation, see `passes_as_equations`. Its operands are the inputs, and the
+image kept if there is one."""
 pass_primitive.def_abstract_eval(lambda *_, shape, dtype, **__: ShapedArray(shape, dtype))
 
 # Part of the key under which jit finds what it has traced.

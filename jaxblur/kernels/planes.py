@@ -109,9 +109,7 @@ def live(equations: Sequence[Any], wanted: Sequence[Any], known: Sequence[Any] =
     return chosen[::-1]
 
 
-def _equation(
-    equation: Any, inputs: list[Any], keeps_places: bool, keeps_lines: bool
-) -> list[Any]:
+def _equation(equation: Any, inputs: list[Any], keeps_places: bool, keeps_lines: bool) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
     if equation.primitive is place_primitive:
         find = place_primitive.bind if keeps_places else texel_of
