@@ -231,8 +231,8 @@ def readme_of(graph: Graph, language: Language, sources: list[str], digest: str)
         ),
         "",
         "Images are row by row from the top, the channels of a pixel together. Color is linear,",
-        "alpha premultiplied. Velocity is half of the motion while the shutter is open, pixels, x to",
-        "the right and y down. Depth is positive along the view axis; write 1e18 for the sky,",
+        "alpha premultiplied. Velocity is half of the motion while the shutter is open, pixels, x",
+        "to the right and y down. Depth is positive along the view axis; write 1e18 for the sky,",
         "since shaders may not count on infinity. Inputs must not be NaN."
         + (
             " Path is the displacement at opening (x, y) and closing (x, y)."

@@ -96,12 +96,12 @@ def build_play(
 def _sliders(graph: Graph) -> list[dict[str, Any]]:
     sliders = [
         {
-            "name": "exposure",
+            "name": "shutter",
             "value": 1.0,
             "low": 0.0,
             "high": LARGEST_SHUTTER,
             "log": False,
-            "meaning": "exposure, in units of that of the frame",
+            "meaning": "length of the exposure, times that of the frame",
             "unit": "",
         }
     ]

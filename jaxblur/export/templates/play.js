@@ -82,12 +82,12 @@ async function blur() {
   try {
     do {
       state.again = false;
-      if (state.uploaded !== state.values.exposure) {
-        const motion = scaled(state.values.exposure);
+      if (state.uploaded !== state.values.shutter) {
+        const motion = scaled(state.values.shutter);
         for (const name of ["velocity", "path"]) {
           if (motion[name] && state.filter.buffers[name]) state.filter.upload(name, motion[name]);
         }
-        state.uploaded = state.values.exposure;
+        state.uploaded = state.values.shutter;
       }
       state.blurred = await state.filter.run(state.values);
       const started = performance.now();
@@ -117,12 +117,12 @@ const text = (value) => String(Number(value.toPrecision(5)));
 function toml() {
   const lines = [`filter = "${data.plan.filter}"`, "", "[parameters]"];
   const options = [];
-  for (const { name } of data.sliders.filter((slider) => slider.name !== "exposure")) {
+  for (const { name } of data.sliders.filter((slider) => slider.name !== "shutter")) {
     const value = text(state.values[name]);
     lines.push(`${name} = ${/[.e]/.test(value) ? value : `${value}.0`}`);
     options.push(`--param ${name}=${value}`);
   }
-  const shutter = text(data.shutter * state.values.exposure);
+  const shutter = text(data.shutter * state.values.shutter);
   return [...lines, "", `# --filter ${data.plan.filter} ${[...options, `--shutter ${shutter}`].join(" ")}`, ""].join("\n");
 }
 
