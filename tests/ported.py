@@ -4,10 +4,12 @@ import base64
 import contextlib
 import ctypes
 import importlib.resources
+import os
 import pathlib
 import re
 import shutil
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -149,3 +151,45 @@ def node_grid(node, height, width):
     if node.size.of == "tiles":
         return -(-height // node.size.factor), -(-width // node.size.factor)
     return height, width
+
+
+SANITIZED = """
+import ctypes, sys
+import numpy as np
+name, library, count, height, width, *channels = sys.argv[1:]
+loaded, height, width = ctypes.CDLL(library), int(height), int(width)
+scratch_bytes = getattr(loaded, f"{name}_scratch_bytes")
+scratch_bytes.restype = ctypes.c_size_t
+generator = np.random.default_rng(0)
+planes = [generator.normal(size=(height, width, int(c))) for c in channels]
+planes = [25 * (np.abs(plane) if plane.shape[2] == 1 else plane) for plane in planes]
+planes = [np.ascontiguousarray(plane, np.float32) for plane in planes]
+planes.append(np.empty((height, width, int(count)), np.float32))
+planes.append(np.full(max(scratch_bytes(width, height), 1), 0x7F, np.uint8))
+pointers = [plane.ctypes.data_as(ctypes.c_void_p) for plane in planes]
+sys.exit(getattr(loaded, name)(None, width, height, *pointers))
+"""
+
+
+def run_sanitized(graph, text, folder, shape):
+    """Run a filter that was printed as C with AddressSanitizer; what it prints."""
+    compiler = shutil.which("gcc") or pytest.skip("needs gcc and its sanitizers")
+    found = subprocess.check_output([compiler, "-print-file-name=libasan.so"], text=True).strip()
+    if not pathlib.Path(found).is_absolute():
+        pytest.skip("needs libasan: apt install gcc")
+    name = f"jaxblur_{graph.filter.name}"
+    (folder / f"{name}.h").write_text(text.header)
+    (folder / f"{name}.c").write_text(text.source)
+    checks = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    library = folder / f"{name}.so"
+    subprocess.run(
+        [compiler, *FLAGS, "-g", *checks, "-o", library, folder / f"{name}.c", "-lm"], check=True
+    )
+    channels = [str(buffer.channels) for buffer in graph.inputs]
+    given = [name, library, graph.channels, *shape, *channels]
+    return subprocess.run(
+        [sys.executable, "-c", SANITIZED, *map(str, given)],
+        env=os.environ | {"LD_PRELOAD": found, "ASAN_OPTIONS": "detect_leaks=0"},
+        capture_output=True,
+        text=True,
+    )

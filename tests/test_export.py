@@ -20,7 +20,7 @@ from jaxblur.kernels import Image, Outcome, each_pixel, passes_as_equations, sum
 from jaxblur.noise import make_noise
 
 from .helpers import random_frame, registered
-from .ported import run_c, run_hlsl, run_shaders, shader_page
+from .ported import run_c, run_hlsl, run_sanitized, run_shaders, shader_page
 
 FILTERS = ("pixel_velocity", "mcguire2012", "guertin2014", "layered")
 FETCHES = ("nearest", "bilinear")
@@ -98,6 +98,26 @@ def test_c_has_all_choices_of_guertin2014(changes, tmp_path):
     names = {buffer.name for buffer in graph.inputs}
     assert ("noise_tap" in names) == (settings.noise == "halton")
     check(run_c(graph, print_c(graph), tmp_path, planes), expected("guertin2014", frame, settings))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILTERS)
+def test_c_stays_inside_its_arrays(name, tmp_path):
+    graph = graph_of(filter_info(name), settings=settings_of(name, spacing=1.5), channels=3)
+    text = print_c(graph)
+    for shape in ((1, 1), (7, 41)):
+        ran = run_sanitized(graph, text, tmp_path, shape)
+        assert ran.returncode == 0, ran.stderr[-2000:]
+
+
+@pytest.mark.slow
+def test_the_sanitizer_reports_a_wrong_program(tmp_path):
+    graph = graph_of(filter_info("pixel_velocity"), channels=3)
+    text = print_c(graph)
+    wrong = text.source.replace("* width + near_x;", "* width + near_x + 100000;")
+    assert wrong != text.source
+    ran = run_sanitized(graph, text._replace(source=wrong), tmp_path, (7, 41))
+    assert ran.returncode != 0
 
 
 @pytest.mark.slow
