@@ -18,8 +18,20 @@ ARGUMENTS = [
 ]
 
 
+SHADERS = [
+    "--headless",
+    "--no-sandbox",
+    "--no-first-run",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
+]
+"""Arguments with which WebGPU and WebGL 2 run on a processor."""
+
+
 @contextlib.contextmanager
-def chromium():
+def chromium(arguments=ARGUMENTS):
     """Start the system's Chromium; skip the test if there is none."""
     driver = pytest.importorskip("playwright.sync_api", reason="needs playwright, of jaxblur[dev]")
     program = next(filter(None, map(shutil.which, NAMES)), None)
@@ -28,7 +40,7 @@ def chromium():
             f"needs a browser: install one of {', '.join(NAMES)}, e.g. apt install chromium"
         )
     with driver.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=program, args=arguments)
         try:
             yield browser
         finally:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jaxblur.cli import main
 
-COMPUTING = ("blur", "demo", "fit", "scene")
+COMPUTING = ("blur", "demo", "export", "fit", "play", "scene")
 
 
 class Outcome(NamedTuple):

@@ -51,6 +51,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 MAY_IMPORT["fitting"] = {"_util", "batch", "exr", "show", "vectors"} | {
     *("filters", "frame", "metrics", "noise", "settings"),
 }
+MAY_IMPORT["export"] = {"_util", "exr", "filters", "frame", "kernels", "noise", "settings"}
 MAY_IMPORT["cli"] = MAY_IMPORT.keys() - {"__main__"}
 
 SOURCES = sorted(PACKAGE.rglob("*.py"))

@@ -13,13 +13,27 @@ from typing import Any
 import jaxblur
 from jaxblur._util.text import one_line, printable
 
-from . import bench, blur, demo, fit, info, report, scene, shutter, study, vectors, votes
+from . import (
+    bench,
+    blur,
+    demo,
+    export,
+    fit,
+    info,
+    play,
+    report,
+    scene,
+    shutter,
+    study,
+    vectors,
+    votes,
+)
 from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench, study, votes)
+COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench, export, play, study, votes)
 
 USAGE = 2
 INTERRUPTED = 130

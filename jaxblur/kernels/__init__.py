@@ -9,6 +9,7 @@ from .passes import (
     each_pixel as each_pixel,
     largest_in_tiles as largest_in_tiles,
     largest_marks as largest_marks,
+    passes_as_equations as passes_as_equations,
     recorded_passes as recorded_passes,
 )
 from .program import (

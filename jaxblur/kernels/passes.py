@@ -3,12 +3,15 @@
 import contextlib
 import contextvars
 import dataclasses
+import re
 from collections.abc import Generator
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
 from jaxtyping import Array, Float, Int
 
 from ..settings import Backend
@@ -28,12 +31,18 @@ class Pass:
         traced: the program; its name, its jaxpr of scalars, its inputs, its stages.
         kept: channels of the image that pixels keep where the program says so; 0 if none.
         apart: of `largest_marks`.
+        program: as its author wrote it.
+        names: of the inputs, as the author calls them.
+        side: of a tile in pixels; 0 if the pass is not one of tiles.
     """
 
     kind: Literal["pixel", "tiles", "marks"]
     traced: Traced
     kept: int = 0
     apart: int = 0
+    program: Program | None = None
+    names: tuple[str, ...] = ()
+    side: int = 0
 
 
 _recorded: contextvars.ContextVar[list[Pass] | None] = contextvars.ContextVar(
@@ -59,12 +68,51 @@ def recorded_passes() -> Generator[list[Pass], None, None]:
         _recorded.reset(token)
 
 
-def _record(
-    kind: Literal["pixel", "tiles", "marks"], traced: Traced, kept: Any = None, apart: int = 0
-) -> None:
+def _record(run: Pass) -> None:
     passes = _recorded.get()
     if passes is not None:
-        passes.append(Pass(kind, traced, 0 if kept is None else kept.shape[-1], apart))
+        passes.append(run)
+
+
+pass_primitive = Primitive("pass")
+"""A whole pass as one equation, see `passes_as_equations`. Its operands are the inputs, and the
+image kept if there is one."""
+pass_primitive.def_abstract_eval(lambda *_, shape, dtype, **__: ShapedArray(shape, dtype))
+
+# Part of the key under which jit finds what it has traced.
+_as_equations = jax.make_user_context(False)
+
+
+@contextlib.contextmanager
+def passes_as_equations() -> Generator[None, None, None]:
+    """Let every pass that is traced inside a ``with`` block be one equation of the trace.
+
+    ``jax.make_jaxpr`` of a filter then gives its passes and what lies between them, for targets
+    that print both. Such a trace cannot be run.
+
+    Yields:
+        Nothing.
+    """
+    with _as_equations(True):
+        yield
+
+
+def _equation(
+    run: Pass, shape: tuple[int, ...], dtype: Any, inputs: Any, kept: jax.Array | None = None
+) -> jax.Array:
+    """The equation that stands for a pass."""
+    leaves, _ = flatten(*inputs)
+    operands = [leaf.values if isinstance(leaf, Image) else leaf for leaf in leaves]
+    operands += [] if kept is None else [kept]
+    return pass_primitive.bind(*operands, run=run, shape=shape, dtype=jnp.dtype(dtype))
+
+
+def _names(images: Any, parameters: Any) -> tuple[str, ...]:
+    """The fields in which the inputs of a program are."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(
+        (images, parameters), is_leaf=lambda leaf: isinstance(leaf, Image)
+    )
+    return tuple("_".join(re.findall(r"[A-Za-z]\w*", jax.tree_util.keystr(p))) for p, _ in paths)
 
 
 def each_pixel(
@@ -104,7 +152,13 @@ def each_pixel(
             f"`kept` must be an image: `{traced.name}` says `where` without `otherwise`, so the "
             "other pixels keep the values of an image."
         )
-    _record("pixel", traced, kept)
+    names = _names(images, parameters)
+    channels = 0 if kept is None else kept.shape[-1]
+    run = Pass("pixel", traced, channels, program=program, names=names)
+    _record(run)
+    if _as_equations.value:
+        shape = *size, len(traced.results)
+        return _equation(run, shape, traced.results[0], (images, parameters), kept)
     return _run(traced, size, images, parameters, kept, backend)
 
 
@@ -168,7 +222,11 @@ def largest_marks(
         ValueError: as `each_pixel`.
     """
     traced = trace(program, images, parameters, settings)
-    _record("marks", traced, apart=apart)
+    names = _names(images, parameters)
+    run = Pass("marks", traced, apart=apart, program=program, names=names)
+    _record(run)
+    if _as_equations.value:
+        return _equation(run, (length,), jnp.int32, (images, parameters))
     local, tables, grid = _operands(traced, size, images, parameters)
     return run_marks(traced.stages, [*local, *tables], len(local), grid, length, backend, apart)
 
@@ -208,8 +266,13 @@ def largest_in_tiles(
     tiles = -(-size[0] // side), -(-size[1] // side)
     inputs = _Size(jnp.int32(size[0]), jnp.int32(size[1])), parameters
     search = _Search(program, side, settings)
-    if _recorded.get() is not None:
-        _record("tiles", trace(_search_tile, images, inputs, search))
+    if _as_equations.value or _recorded.get() is not None:
+        traced, names = trace(_search_tile, images, inputs, search), _names(images, inputs)
+        run = Pass("tiles", traced, program=program, names=names, side=side)
+        _record(run)
+        if _as_equations.value:
+            shape = *tiles, len(traced.results)
+            return _equation(run, shape, traced.results[0], (images, inputs))
     if backend == "xla" or not _all_float32(images):
         keys = trace(program, images, parameters, settings)
         return _by_windows(_run(keys, size, images, parameters, None, "xla"), side)

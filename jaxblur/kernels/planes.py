@@ -5,6 +5,7 @@ pixels (H, W, n); operands broadcast against one another as in NumPy. On scalars
 evaluation, so that the same code serves tracing for C++ and running by XLA.
 """
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,14 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend import core
+from jax.extend import core, source_info_util
 
 from .reads import place_primitive, read_table, texel_of
 
 _SAME = {"broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze"}
 """Operations that leave a scalar as it is."""
 _INNER = {"jit", "pjit", "closed_call", "core_call"}
-_ELEMENTWISE = {
+
+ELEMENTWISE = {
     *("abs", "add", "add_any", "and", "atan2", "cbrt", "ceil", "clamp", "convert_element_type"),
     *("cos", "div", "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow"),
     *("is_finite", "le", "log", "log1p", "logistic", "lt", "max", "min", "mul", "ne", "neg", "not"),
@@ -35,13 +37,13 @@ def opened(jaxpr: Any) -> tuple[Any, Sequence[Any]]:
 
 
 def inlined(closed: Any) -> Any:
-    """The same jaxpr of scalars without calls of other jaxprs."""
+    """The same jaxpr of scalars without calls of other jaxprs; equations know their lines."""
     jaxpr = closed.jaxpr
 
     def run(*inputs: Any) -> list[Any]:
         values = dict(zip(jaxpr.constvars, closed.consts, strict=True))
         values |= zip(jaxpr.invars, inputs, strict=True)
-        look = evaluate(jaxpr.eqns, values, keeps_places=True)
+        look = evaluate(jaxpr.eqns, values, keeps_places=True, keeps_lines=True)
         return [look(variable) for variable in jaxpr.outvars]
 
     shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in jaxpr.invars]
@@ -53,6 +55,7 @@ def evaluate(
     values: dict[Any, Any],
     wanted: Sequence[Any] | None = None,
     keeps_places: bool = False,
+    keeps_lines: bool = False,
 ) -> Callable[[Any], Any]:
     """Evaluate equations.
 
@@ -62,6 +65,7 @@ def evaluate(
         wanted: variables that are needed; equations that they do not depend on are left out. All
             equations if None.
         keeps_places: whether `nearest_place` stays an operation of its own.
+        keeps_lines: whether equations that this makes are of the lines of those evaluated.
 
     Returns:
         A function from a variable or a literal to its value.
@@ -75,7 +79,12 @@ def evaluate(
 
     chosen = equations if wanted is None else live(equations, wanted)
     for equation in chosen:
-        results = _equation(equation, [look(atom) for atom in equation.invars], keeps_places)
+        inputs = [look(atom) for atom in equation.invars]
+        source = contextlib.nullcontext()
+        if keeps_lines:
+            source = source_info_util.user_context(equation.source_info.traceback)
+        with source:
+            results = _equation(equation, inputs, keeps_places, keeps_lines)
         values.update(zip(equation.outvars, results, strict=True))
     return look
 
@@ -100,7 +109,7 @@ def live(equations: Sequence[Any], wanted: Sequence[Any], known: Sequence[Any] =
     return chosen[::-1]
 
 
-def _equation(equation: Any, inputs: list[Any], keeps_places: bool) -> list[Any]:
+def _equation(equation: Any, inputs: list[Any], keeps_places: bool, keeps_lines: bool) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
     if equation.primitive is place_primitive:
         find = place_primitive.bind if keeps_places else texel_of
@@ -109,22 +118,23 @@ def _equation(equation: Any, inputs: list[Any], keeps_places: bool) -> list[Any]
         inner, constants = opened(parameters.get("jaxpr") or parameters.get("call_jaxpr"))
         values = dict(zip(inner.constvars, constants, strict=True))
         values |= zip(inner.invars, inputs, strict=True)
+        # Lines inside would be those of whoever was the first to call it: traces are kept.
         look = evaluate(inner.eqns, values, inner.outvars, keeps_places)
         return [look(variable) for variable in inner.outvars]
     if name == "gather" and equation.invars[0].aval.ndim == 1:
         return [read_table(*inputs)]
     if name in _SAME and equation.outvars[0].aval.size == 1:
         return [inputs[0]]
-    if name in _ELEMENTWISE:
+    if name in ELEMENTWISE:
         if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
             inputs = list(jnp.broadcast_arrays(*inputs))
         return [equation.primitive.bind(*inputs, **parameters)]
     if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
-        return _loop(equation, inputs)
+        return _loop(equation, inputs, keeps_lines)
     return _one_by_one(equation, inputs)
 
 
-def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
+def _loop(equation: Any, inputs: list[Any], keeps_lines: bool) -> list[Any]:
     """A loop that carries values on, as `lax.fori_loop` of known length makes it."""
     parameters, constants = equation.params, equation.params["num_consts"]
     body, closed_over = opened(parameters["jaxpr"])
@@ -135,7 +145,7 @@ def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
 
     def step(carried: list[Any], _: None) -> tuple[list[Any], None]:
         values = known | dict(zip(body.invars[constants:], carried, strict=True))
-        look = evaluate(body.eqns, values, body.outvars)
+        look = evaluate(body.eqns, values, body.outvars, keeps_lines=keeps_lines)
         return [jnp.broadcast_to(look(variable), shape) for variable in body.outvars], None
 
     start = [jnp.broadcast_to(value, shape) for value in inputs[constants:]]

@@ -1,0 +1,161 @@
+"""``jaxblur play``: a page in which a frame is blurred live, with a slider for each parameter."""
+
+import argparse
+import logging
+import pathlib
+from typing import Any
+
+from jaxblur._util.atomic import replacing
+
+from . import sources
+from .arguments import (
+    CommandError,
+    add_command,
+    add_compute_options,
+    check_folder,
+    check_outputs,
+    file_path,
+    positive_number,
+)
+from .compute import start_jax
+from .console import print_line
+from .filtering import (
+    add_filter_options,
+    add_nonfinite_option,
+    complete,
+    describe_filters,
+    find_filter,
+    report_ignored,
+)
+from .sources import add_source_options, add_vector_options
+
+LOG = logging.getLogger("jaxblur")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        *(commands, "play", "Make one HTML page that blurs a frame live; it needs WebGPU.", run)
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.more_help = describe_filters
+    parser.add_argument("input", type=file_path, help="frame with color, depth and vectors")
+    parser.add_argument(
+        "-o", "--output", type=file_path, required=True, metavar="OUT.html", help="page to write"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing page")
+    parser.add_argument(
+        "--truth", type=file_path, metavar="FILE", help="true blur, for the error map and PSNR"
+    )
+    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+    parser.add_argument(
+        "--color-space",
+        metavar="NAME",
+        help="color space of the frame and of the truth, where the files do not name it",
+    )
+    parser.add_argument(
+        "--max-megabytes",
+        type=positive_number,
+        default=60.0,
+        metavar="MB",
+        help="reject a frame whose page would be larger (default %(default)g)",
+    )
+    add_compute_options(parser)
+    group = add_filter_options(parser)
+    group.add_argument(
+        "--parameters",
+        type=pathlib.Path,
+        metavar="FILE",
+        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
+    )
+    add_vector_options(parser)
+    add_nonfinite_option(add_source_options(parser))
+    parser.set_defaults(also=[], all_color=False)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page; see `add_parser`."""
+    output: pathlib.Path = arguments.output
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise CommandError(f"{output}: can write .html only; change the extension.")
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_folder(output.parent)
+    check_outputs([output], arguments.overwrite)
+    fitted = None
+    if arguments.parameters is not None:
+        from jaxblur.fitting import FitResult
+
+        fitted = FitResult.load(arguments.parameters)
+    name, parameters, settings = complete(arguments, fitted)
+    buffers = sources.read(arguments)
+    report_ignored(arguments.input, buffers.ignored)
+    page = _page(arguments, name, parameters, settings, buffers)
+    size = len(page.encode("utf-8")) / 1e6
+    if size > arguments.max_megabytes:
+        raise CommandError(
+            f"{arguments.input}: the page would have {size:.0f} MB, more than --max-megabytes "
+            f"{arguments.max_megabytes:g}; allow more, or render a smaller frame."
+        )
+    with replacing(output) as temporary:
+        pathlib.Path(temporary).write_text(page, encoding="utf-8")
+    print_line(output)
+    return 0
+
+
+def _page(
+    arguments: argparse.Namespace, name: str, parameters: Any, settings: Any, buffers: Any
+) -> str:
+    """The page of a frame."""
+    import dataclasses
+
+    import numpy as np
+
+    start_jax(not arguments.no_compile_cache)
+    from jaxblur import exr, metrics, vectors
+    from jaxblur.export import build_play, graph_of
+    from jaxblur.noise import make_noise
+
+    info = exr.inspect(arguments.input)
+    colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
+    color = np.asarray(metrics.rgb(colors.light(buffers.color)), np.float32)
+    height, width = color.shape[:2]
+    if arguments.radius == 0:
+        fastest = vectors.speed_statistics(buffers.velocity, settings.radius).suggested_radius
+        settings = dataclasses.replace(settings, radius=fastest)
+        LOG.info("radius: %d px", fastest)
+    path = buffers.path if name == "layered" else None
+    planes = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
+    if path is not None:
+        planes["path"] = path
+    noise = make_noise("halton", height, width)
+    planes |= {"noise_tap": np.asarray(noise.tap), "noise_tile": np.asarray(noise.tile)}
+    filter_of = find_filter(name)
+    graph = graph_of(
+        *(filter_of, filter_of.make_parameters(**parameters), settings),
+        channels=3,
+        has_path=path is not None,
+    )
+    return build_play(
+        *(graph, planes, _truth(arguments, color.shape)),
+        title=arguments.input.name,
+        shutter=arguments.shutter,
+    )
+
+
+def _truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    """The truth as a screen shows it, or None."""
+    if arguments.truth is None:
+        return None
+    from jaxblur import exr, metrics
+
+    info = exr.inspect(arguments.truth)
+    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
+    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    if truth.shape[:2] != shape[:2]:
+        raise CommandError(
+            f"{arguments.truth}: the truth has {truth.shape[1]}x{truth.shape[0]} pixels, but "
+            f"{arguments.input} has {shape[1]}x{shape[0]}; render both with the same data window."
+        )
+    colors = exr.conversion_of(info, channel, arguments.color_space, None)
+    return metrics.rgb(colors.light(truth))
