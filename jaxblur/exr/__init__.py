@@ -51,6 +51,7 @@ from .cryptomatte import (
     identifier_of as identifier_of,
     read_cryptomatte as read_cryptomatte,
 )
+from .deep import is_deep as is_deep, read_deep_layers as read_deep_layers
 from .files import (
     Channel as Channel,
     FileInfo as FileInfo,

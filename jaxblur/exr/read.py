@@ -212,7 +212,7 @@ def read_buffers(
         channel = choose_depth(depth_info, depth_layer, depth_channel, group.prefix, taken)
         if depth_channel is None:
             _warn_borrowed(depth_info, depth_layer, "depth", [channel])
-        kind = _depth_kind(depth, guess, channel, path)
+        kind = depth_kind_of(depth, guess, channel, path)
         distance, lost = _read_distance(depth_info, channel, kind, info, group, nonfinite)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
@@ -336,7 +336,7 @@ def _read_distance(
     return to_distance(raw, kind, info.path, name), lost
 
 
-def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
+def depth_kind_of(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
     """Resolve "auto"; warn if it means anything but plain distance."""
     if depth != "auto":
         return depth
