@@ -325,18 +325,30 @@ def apply_filter(
     import numpy as np
 
     from jaxblur.frame import Frame
-    from jaxblur.noise import make_noise
 
     info = filter_info(name)
     frame = buffers if isinstance(buffers, Frame) else buffers.frame()
     settings = checked_settings(settings, info.kind, info.name)
-    noise = None
-    if seed is not None and settings.noise != "none":
-        height, width = frame.depth.shape
-        noise = make_noise(settings.noise, height, width, seed)
+    noise = noise_of(settings, seed, frame.depth.shape)
     values = info.make_parameters(**parameters)
     call: Any = info.call
     return np.asarray(call(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+
+
+def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:
+    """The built-in noise, moved by a seed; None where it is not moved, or there is none.
+
+    Args:
+        settings: of the filter.
+        seed: see `apply_filter`.
+        size: rows and columns.
+    """
+    from jaxblur.noise import make_noise
+
+    if seed is None or settings.noise == "none":
+        return None
+    height, width = size
+    return make_noise(settings.noise, height, width, seed)
 
 
 def takes_neighbors(name: str) -> bool:

@@ -54,8 +54,11 @@ class Samples(NamedTuple):
 
     def take(self, which: np.ndarray) -> "Samples":
         """Some of the samples, in an order."""
-        path = None if self.path is None else self.path[which]
-        return Samples(*(values[which] for values in self[:-1]), path)
+        return Samples(
+            *(self.pixel[which], self.color[which], self.alpha[which]),
+            *(self.depth[which], self.velocity[which]),
+            None if self.path is None else self.path[which],
+        )
 
 
 def is_deep(info: FileInfo) -> bool:
