@@ -143,8 +143,8 @@ def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
         re.sub(r"\d+(?=\D*$)", lambda m: "#" * len(m[0]), name) for name in (*left, *given[:1])
     }
     pattern = names.pop() if len(names) == 1 else ""
-    layers = " ".join((*given[:1], *left))
-    more = "" if "#" in pattern else f"; layers of one frame: `jaxblur layers {layers} -o OUT.exr`"
+    layers = "; layers of one frame: `jaxblur layers FRONT.exr BACK.exr -o OUT.exr`"
+    more = "" if "#" in pattern else layers
     example = pattern if "#" in pattern else "name.####.exr"
     return (
         "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
