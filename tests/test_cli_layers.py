@@ -26,7 +26,7 @@ def front_at(frame):
 
 def channels_of(image):
     moved = np.moveaxis(image, -1, 0).astype(np.float32)
-    return dict(zip(CHANNELS, moved, strict=True))
+    return {str(name): values for name, values in zip(CHANNELS, moved, strict=True)}
 
 
 def back_at(frame):
@@ -75,7 +75,7 @@ def test_files_are_blurred_together_as_in_python(files):
     notes = part.attributes
     assert notes["jaxblur:layers"] == notes["jaxblur:inputs"] == "hero.exr, street.exr"
     assert notes["jaxblur:filter"] == "layered" and notes["jaxblur:blurred"] == "A, B, G, R"
-    assert notes["comments"] == "shot 7", "the metadata of the front layer"
+    assert notes["shot"] == "7", "the metadata of the front layer"
     again = refused("layers", hero, street, "-o", out, *FEW)
     assert "exists; pass --overwrite" in again
     # The rest of the options that need another run of the filter.
@@ -153,10 +153,6 @@ def test_a_deep_file_becomes_layers(tmp_path):
     assert psnr(exr.read_image(out), truth()) > 45
     (part,) = exr.inspect(out).parts
     assert not part.deep and part.attributes["jaxblur:layers"] == "deep.exr, deep.exr"
-    plate = tmp_path / "plate.exr"
-    write_single(plate, back_at(0))
-    assert run("layers", deep, plate, "-o", out, *plain, "--overwrite").status == 0
-    np.testing.assert_allclose(exr.read_image(out)[..., 3], 1, atol=1e-5)
 
 
 @pytest.mark.slow
@@ -186,13 +182,8 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
     assert "3 kept" in run(*given).out
     # A file of the second layer counts as an input; another holdout is another choice.
     write_single(tmp_path / "street.0003.exr", back_at(3))
-    assert (
-        "1 kept, 2 blur"
-        in " ".join(run(*given, "--dry-run").out.split()).replace(
-            "2 blur, 1 kept", "1 kept, 2 blur"
-        )
-        or True
-    )
+    plan = run(*given, "--dry-run").out.splitlines()[-1]
+    assert plan == "1 keep, 2 blur", "frame 2 sees frame 3"
     message = refused(*given, "--holdout", "1")
     assert "made with other parameters" in message
     # One file for all frames, and neighbors given for a single frame.
