@@ -42,9 +42,7 @@ def back_at(frame):
 @pytest.fixture
 def files(tmp_path):
     """A folder with one frame of each layer, the front one with metadata."""
-    write_single(
-        tmp_path / "hero.exr", front_at(0), ["half"] * 4 + ["float"] * 3, comments="shot 7"
-    )
+    write_single(tmp_path / "hero.exr", front_at(0), ["half"] * 4 + ["float"] * 3, shot="7")
     write_single(tmp_path / "street.exr", back_at(0))
     return tmp_path
 
