@@ -22,6 +22,7 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...noise import Noise
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
+from .._sampling import find_texel
 from ..builtin import check_layered
 from ..parameters import LayeredParameters
 from .clock import time_of_light
@@ -29,6 +30,8 @@ from .filter import Others, check_frames, checked_neighbor, exposed, frames_of, 
 from .owners import RESTS
 from .paths import Path
 from .slices import SMALLEST_WEIGHT, Images, Inputs, Plan, longest_motion, slices_along, slices_at
+
+_INSIDE = Settings(border="skip")
 
 ALPHA_BEYOND = 0.1
 """How far alpha may lie outside 0..1: pixel filters with negative lobes leave such values."""
@@ -101,9 +104,8 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
         C = sum_k C_k T_k,   T_1 = 1,   T_(k+1) = T_k (1 - a_k)
 
     in each slice, with the layers from the front to the back. Where a layer is not known, it is
-    transparent, with two exceptions: what has come in over the border of the frame is left out of
-    the mean, as far as the pixel itself is opaque; and the last layer has the mean color of what is
-    known of it. Both as in `layered`.
+    left out of the mean as far as it goes on there (see `goes_on`), and is transparent otherwise.
+    The last layer has there the mean color of what is known of it, as in `layered`.
     """
     plan, limit = stack.plan, None
     if plan.settings.spacing:
@@ -127,7 +129,7 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
                 last, known = color, through * share
                 break
             front = tuple(a + b for a, b in zip(front, color, strict=True))
-            lost = (1 - share) * comes_in(at, images.layers[number], inputs, i, count)
+            lost = (1 - share) * goes_on(at, images.layers[number], inputs, i, count)
             counts = counts - through * lost
             through = through * (1 - jnp.clip(seen[-1], 0, share) - lost)
         sums = StackSums(front, last, known, through, counts)
@@ -167,8 +169,12 @@ def blended(
     )
 
 
-def comes_in(at: At, images: Images, inputs: Inputs, slice: Array, count: Array | int) -> Array:
-    """Alpha of a pixel whose own motion has brought in over the border what it shows in a slice.
+def goes_on(at: At, images: Images, inputs: Inputs, slice: Array, count: Array | int) -> Array:
+    """How surely a pixel of a layer stays covered in a slice in which nothing is known of it.
+
+    Its own motion leads back to where it would have come from. Where that is in the frame, farther
+    away, and transparent, the pixel is uncovered then. Else something is there that the frame does
+    not show, because it is outside or hidden, and it is taken to cover what the pixel covers.
 
     Args:
         at: the pixel.
@@ -178,15 +184,19 @@ def comes_in(at: At, images: Images, inputs: Inputs, slice: Array, count: Array 
         count: of slices.
 
     Returns:
-        0 to 1; 0 where the motion begins inside the frame.
+        0 to 1, at most the alpha of the pixel.
     """
     own, alpha = Path(*images.paths.here()), images.color.here()[-1]
     light = (2 * slice + 1).astype(own.x.dtype) / count - 1
     time, _ = time_of_light(light, at.row, images.clock, inputs.span)
-    row, column = at.row - time * own.y, at.column - time * own.x
-    rows, columns = (jnp.asarray(s) for s in (images.paths.height, images.paths.width))
-    inside = (row > -0.5) & (row < rows - 0.5) & (column > -0.5) & (column < columns - 0.5)
-    return jnp.where(inside, 0, jnp.clip(alpha, 0, 1))
+    squared = time * time
+    x, y = squared * own.bend_x - time * own.x, squared * own.bend_y - time * own.y
+    texel = find_texel(at, x, y, images.paths, _INSIDE, held=True)
+    depth = images.paths.read_texel(texel.number, 3)[2]
+    behind = jnp.clip(inputs.parameters.front_sharpness * (depth - own.log_depth), 0, 1)
+    there = jnp.clip(images.color.read_texel(texel.number)[-1], 0, 1)
+    uncovered = jnp.where(texel.counts, behind * (1 - there), 0)
+    return (1 - uncovered) * jnp.clip(alpha, 0, 1)
 
 
 def blur_layers(
@@ -217,8 +227,8 @@ def blur_layers(
     Returns:
         (H, W, C) color over nothing, premultiplied, alpha last. Differentiable as `layered` is.
         Where a layer is not known at some time, it is transparent, so that an empty layer changes
-        nothing, whatever its velocity. Of a thing that the border of the frame cuts, the part that
-        moves in from outside is taken to look as the part inside does, and the last layer is
+        nothing, whatever its velocity. But a thing that the border of the frame cuts, or another
+        thing of its layer, is taken to go on there as it looks beside it, and the last layer is
         completed as `layered` completes a frame.
 
     Raises:
