@@ -206,10 +206,7 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
         (("hero.exr", "street.exr", "--holdout", "3"), "--holdout 3: no layer of that name; there"),
         (("hero.exr", "--holdout", "hero"), "--holdout: nothing is left to be seen"),
         (("hero.exr", "small.exr"), "small.exr has the data window 8x6 at (0, 0), but hero.exr"),
-        (
-            ("hero.exr", "street.exr", "--filter", "guertin2014"),
-            "--filter guertin2014: only layered",
-        ),
+        (("hero.exr", "street.exr", "--split", "even"), "unknown option --split"),
         (("hero.exr", "street.exr", "--before", "hero.exr"), "--before: needs one file for each"),
         (("wrong.exr", "street.exr"), "wrong.exr: A: alpha from 0 to 7"),
         (("hero.exr", "gray.exr"), "gray.exr has 2 color channels with alpha, but hero.exr has 4"),

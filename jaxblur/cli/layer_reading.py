@@ -48,6 +48,7 @@ def _read_place(
 
     here = stack.each(arguments)[number]
     path = here.input
+    LOG.info("layer %d: %s", number + 1, arguments.layers[number].text)
     info, motion = exr.inspect(path), ""
     if exr.is_deep(info):
         return [

@@ -19,6 +19,7 @@ from .filtering import (
     add_quality_option,
     add_seed_option,
     complete,
+    describe_filters,
 )
 from .shutter import add_shutter_options, settle
 from .sources import add_depth_options, add_vector_options
@@ -40,7 +41,7 @@ def add_parser(commands: Any) -> None:
         commands, "layers", "Blur layers together, front to back, into one frame.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.more_help = lambda: f"{EXPLANATION}\n{describe_presets()}"
+    parser.more_help = lambda: f"{EXPLANATION}\n{describe_filters(FILTER)}\n\n{describe_presets()}"
     parser.add_argument(
         "layers",
         type=stack.layer_name,
@@ -68,7 +69,7 @@ def add_parser(commands: Any) -> None:
     _add_stack_options(parser)
     blur.add_color_options(parser)
     add_compute_options(parser)
-    group = add_filter_options(parser, FILTER)
+    group = add_filter_options(parser, FILTER, alone=True)
     add_quality_option(group)
     add_seed_option(group)
     add_vector_options(parser, layer=False)
@@ -144,10 +145,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Reject what layers do not have, before any work."""
-    if arguments.filter not in (None, FILTER):
-        raise CommandError(
-            f"--filter {arguments.filter}: only {FILTER} blurs layers together; leave it out."
-        )
     for side in ("before", "after"):
         given = getattr(arguments, side)
         if given is not None and len(given) != len(arguments.stack):

@@ -24,6 +24,11 @@ class LayerName(NamedTuple):
     path: pathlib.Path
     layer: str | None
 
+    @property
+    def text(self) -> str:
+        """As it was given, without folders."""
+        return self.path.name + (f":{self.layer}" if self.layer else "")
+
 
 class LayerPlace(NamedTuple):
     """What is known of a layer before it is read.
@@ -61,7 +66,7 @@ class ReadLayer(NamedTuple):
     @property
     def name(self) -> str:
         """As on the command line, without folders."""
-        return self.path.name + (f":{self.layer}" if self.layer else "")
+        return LayerName(self.path, self.layer).text
 
     def frame(self, passes: Sequence[str]) -> Any:
         """The `jaxblur.Frame`, alpha last.
