@@ -143,6 +143,26 @@ def test_neighbors_and_spacing_are_taken_too():
     assert error(blur_layers([near, back], settings=settings), truth_of(10.0, 0.0)) < 0.03
 
 
+def test_what_a_nearer_thing_of_its_layer_hides_goes_on_behind_it():
+    """A bar comes out from behind a post at rest; both are in the front layer."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    post = (columns < 30)[..., None] * np.ones((*SIZE, 2))
+
+    def bar(offset=0.0):
+        cover = np.clip(columns - offset - 10, 0, 1) * np.clip(52.5 + offset - columns, 0, 1)
+        return (cover * (np.abs(rows - 20) < 8))[..., None] * np.array([0.5, 1.0])
+
+    color = over(post, bar())
+    moves = (bar()[..., 1] > 0) & (columns >= 30)
+    depth = np.where(columns < 30, 1.0, np.where(moves, 2.0, np.inf))
+    velocity = np.where(moves[..., None], [10.0, 0.0], 0.0)
+    front = jaxblur.Frame(*(jnp.asarray(b, jnp.float32) for b in (color, depth, velocity)))
+    together = blur_layers([front, frame_of(back_image(), 0.0, 9.0)], settings=SETTINGS)
+    # Beside the post the bar is all the time, of which the frame shows half.
+    beside = np.s_[14:27, 31:38]
+    np.testing.assert_allclose(np.asarray(together)[beside], color[beside], atol=0.02)
+
+
 def in_color(frame):
     """The frame in red, green and blue, all alike, and alpha."""
     gray, alpha = jnp.split(frame.color, 2, axis=-1)
@@ -164,8 +184,7 @@ def empty_layer():
     return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
-@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize(("backend", "place"), [("native", 0), ("xla", 1)])
 def test_an_empty_layer_changes_nothing(backend, place):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
     layers = layers_of(9.0, -6.0)
@@ -182,10 +201,8 @@ def test_an_empty_layer_behind_the_others_changes_what_is_guessed_at_the_border_
     np.testing.assert_allclose(with_it[..., 1], 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
-def test_what_the_border_cuts_goes_on_outside(backend):
+def test_what_the_border_cuts_goes_on_outside():
     """A disc of one color that comes in from the left, partly outside at the time of the frame."""
-    settings = dataclasses.replace(SETTINGS, backend=backend)
 
     def cut_disc(offset=0.0):
         alpha = disc((4, 20), 12, offset)
@@ -194,7 +211,7 @@ def test_what_the_border_cuts_goes_on_outside(backend):
     layers = [frame_of(cut_disc(), 10.0, 2.0), frame_of(back_image(), 0.0, 9.0)]
     times = np.linspace(-1, 1, 201)[:-1] + 1 / 200
     truth = np.mean([over(cut_disc(10 * t), back_image()) for t in times], axis=0)
-    together = np.asarray(blur_layers(layers, settings=settings))
+    together = np.asarray(blur_layers(layers, settings=SETTINGS))
     # Were it transparent where nothing is known of it, this would be 0.015.
     assert np.sqrt(np.mean((together - truth)[:, :24] ** 2)) < 0.012
     np.testing.assert_allclose(together[..., 1], 1, atol=1e-5)
