@@ -4,7 +4,8 @@
 
 Scenes of the catalogue are rendered whole, and as layers: with some of their things in front, and
 without. ``layers.csv`` and ``layers.md`` have PSNR in dB of display values against the truth, of
-the whole picture and of the part that nothing can enter over the border. The ceiling is that of
+the whole picture and of the part that nothing can enter over the border; "at rest" are the two
+layers at rest, composited, against the sharp frame. The ceiling is that of
 `experiments.012_layered.remainder`: at each of 33 times the point that is visible has the color
 that the sharp frame has there, or its true color if the frame does not show it. ``deep.csv`` and
 ``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into 2. With
@@ -31,15 +32,13 @@ from jaxblur import cli, exr, scenes
 remainder = importlib.import_module("experiments.012_layered.remainder")
 
 FRONT = {
-    "cube_between_crates": (("near crate",), ("cube",)),
     "crossing": (("upright bars",), ("level bars",)),
     "opposed": (("near train",), ("far train",)),
+    "wheels_at_three_depths": (("near",), ("middle",)),
     "tracked_car": (("car", "car wheel 0", "car wheel 1", "car wheel 2", "car wheel 3"), ()),
     "rotor_over_city": (("helicopter", "rotor", "tail rotor"), ()),
 }
-"""By scene the things of the front layer, and of one behind it for a third layer, if there is one.
-Two layers have both in front where the first rests."""
-BOTH_IN_FRONT = ("cube_between_crates",)
+"""By scene the things of the front layer, and those of a second one where there are three."""
 RENDERED = ("running_figure", "car_behind_fence")
 CROPS = {"running_figure": (150, 230), "car_behind_fence": (180, 180)}
 """Top and left of what the picture shows."""
@@ -84,8 +83,7 @@ def plate(scene: scenes.Scene, names: Sequence[str]) -> jaxblur.Frame:
 def stacks(name: str, scene: scenes.Scene) -> list[list[jaxblur.Frame]]:
     """The scene as two layers, and as three if it has so many."""
     first, second = FRONT[name]
-    front = first + second if name in BOTH_IN_FRONT else first
-    parts = [[front], [first, second]] if second else [[front]]
+    parts = [[first], [first, second]] if second else [[first]]
     found = []
     for elements in parts:
         taken = {thing for things in elements for thing in things}
@@ -110,13 +108,16 @@ def catalogue_row(name: str) -> list[Any]:
     ceiling = np.where(np.isfinite(points), points, known.stack).mean(axis=0)
     many = dataclasses.replace(remainder.SETTINGS, samples=MANY)
     images = [jaxblur.layered(frame, remainder.PARAMETERS, settings=many)]
-    layers = [jaxblur.blur_layers(stack, settings=many) for stack in stacks(name, scene)]
+    found = stacks(name, scene)
+    layers = [jaxblur.blur_layers(stack, settings=many) for stack in found]
+    front, back = (np.asarray(layer.color) for layer in found[0])
+    at_rest = decibel(front + (1 - front[..., 3:]) * back, frame.color)
     images += [*layers, *layers[-1:] * (2 - len(layers)), ceiling]
     margin = int(np.ceil(float(jnp.abs(frame.velocity).max())))
     jax.clear_caches()
     row = [decibel(image, truth) for image in images]
     inner = [decibel(image, truth, margin) for image in images]
-    return [name, *row, margin, *inner, inner[-1] - inner[1]]
+    return [name, at_rest, *row, margin, *inner, inner[-1] - inner[1]]
 
 
 def deep_rows(folder: Path) -> list[list[Any]]:
@@ -217,7 +218,14 @@ def main() -> None:
         rendered(folder, options.reference_data)
     names = list(FRONT)[: 1 if options.quick else None]
     parts = ("flat", "two layers", "three layers", "ceiling")
-    columns = ["scene", *parts, "margin, px", *(f"{part}, inside" for part in parts), "lacking"]
+    columns = [
+        "scene",
+        "at rest",
+        *parts,
+        "margin, px",
+        *(f"{part}, inside" for part in parts),
+        "lacking",
+    ]
     rows: list[list[Any]] = []
     for name in names:
         rows.append(catalogue_row(name))
