@@ -211,6 +211,8 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
         (("wrong.exr", "street.exr"), "wrong.exr: A: alpha from 0 to 7"),
         (("hero.exr", "gray.exr"), "gray.exr has 2 color channels with alpha, but hero.exr has 4"),
         (("hero.exr", "missing.exr"), "missing.exr: no such file"),
+        (("many.exr",), "choose one as FILE:LAYER"),
+        (("nodepth.exr", "street.exr"), "give --depth-channel, or --depth=flat"),
         (("hero.exr", "street.exr", "-F", "1"), "for the frame number"),
     ],
 )
@@ -218,6 +220,9 @@ def test_what_is_no_stack_of_layers_is_refused(files, monkeypatch, arguments, sa
     monkeypatch.chdir(files)
     write_single("small.exr", {name: values[:6, :8] for name, values in back_at(0).items()})
     write_single("wrong.exr", front_at(0) | {"A": 7 * front_at(0)["A"]})
+    named = {f"{layer}.{c}": back_at(0)[c] for layer in ("near", "far") for c in "RGB"}
+    write_single("many.exr", named)
+    write_single("nodepth.exr", {n: v for n, v in front_at(0).items() if n != "Z"})
     gray = back_at(0)
     write_single("gray.exr", {"Y": gray["R"]} | {n: gray[n] for n in (*CHANNELS[4:],)})
     assert says in refused("layers", *arguments, "-o", "out.exr")

@@ -4,8 +4,7 @@
 
 Scenes of the catalogue are rendered whole, and as layers: with some of their things in front, and
 without. ``layers.csv`` and ``layers.md`` have PSNR in dB of display values against the truth, of
-the whole picture and of the part that nothing can enter over the border; "at rest" are the two
-layers at rest, composited, against the sharp frame. The ceiling is that of
+the whole picture and of the part that nothing can enter over the border. The ceiling is that of
 `experiments.012_layered.remainder`: at each of 33 times the point that is visible has the color
 that the sharp frame has there, or its true color if the frame does not show it. ``deep.csv`` and
 ``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into 2. With
@@ -34,7 +33,6 @@ remainder = importlib.import_module("experiments.012_layered.remainder")
 FRONT = {
     "crossing": (("upright bars",), ("level bars",)),
     "opposed": (("near train",), ("far train",)),
-    "wheels_at_three_depths": (("near",), ("middle",)),
     "tracked_car": (("car", "car wheel 0", "car wheel 1", "car wheel 2", "car wheel 3"), ()),
     "rotor_over_city": (("helicopter", "rotor", "tail rotor"), ()),
 }
@@ -108,16 +106,13 @@ def catalogue_row(name: str) -> list[Any]:
     ceiling = np.where(np.isfinite(points), points, known.stack).mean(axis=0)
     many = dataclasses.replace(remainder.SETTINGS, samples=MANY)
     images = [jaxblur.layered(frame, remainder.PARAMETERS, settings=many)]
-    found = stacks(name, scene)
-    layers = [jaxblur.blur_layers(stack, settings=many) for stack in found]
-    front, back = (np.asarray(layer.color) for layer in found[0])
-    at_rest = decibel(front + (1 - front[..., 3:]) * back, frame.color)
+    layers = [jaxblur.blur_layers(stack, settings=many) for stack in stacks(name, scene)]
     images += [*layers, *layers[-1:] * (2 - len(layers)), ceiling]
     margin = int(np.ceil(float(jnp.abs(frame.velocity).max())))
     jax.clear_caches()
     row = [decibel(image, truth) for image in images]
     inner = [decibel(image, truth, margin) for image in images]
-    return [name, at_rest, *row, margin, *inner, inner[-1] - inner[1]]
+    return [name, *row, margin, *inner, inner[-1] - inner[1]]
 
 
 def deep_rows(folder: Path) -> list[list[Any]]:

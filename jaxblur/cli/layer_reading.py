@@ -118,11 +118,15 @@ def _read_still(arguments: argparse.Namespace) -> Any:
 
 
 def _explained(error: Any, number: int, place: stack.LayerPlace) -> Any:
-    """An error about vectors with the remedies of this command."""
+    """An error of reading a frame with the remedies of this command."""
     from jaxblur.exr import JaxblurIOError
 
     if "vectors" not in error.reason:
-        return error
+        reason = error.reason.replace(
+            "choose with `layer` or `color_channels`", "choose one as FILE:LAYER"
+        )
+        reason = reason.replace("`depth_channel` or `depth_from`", "`depth_channel`")
+        return JaxblurIOError(error.path, reason)
     name, prefix = f"layer {number + 1}", f"{place.layer}." if place.layer else ""
     if place.layer:
         name += f" ({place.layer})"

@@ -465,7 +465,8 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
     if arguments.seed is not None:
         used["seed"] = arguments.seed
     others = (arguments.velocity_from, arguments.depth_from, arguments.matte_from)
-    inputs = [*(getattr(arguments, role) for role in stack.roles(arguments)), *others]
+    files = (getattr(arguments, role) for role in stack.roles(arguments))
+    inputs = [*dict.fromkeys(files), *others]
     earlier = {} if loaded.layers else _blurred_before(arguments.input)
     neighbors = ""
     if loaded.neighbors and chosen.name != PASSED_THROUGH and takes_neighbors(chosen.name):
@@ -481,9 +482,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         "jaxblur:filter": chosen.name,
         "jaxblur:parameters": _toml(chosen.parameters),
         "jaxblur:settings": _toml(used),
-        "jaxblur:inputs": ", ".join(
-            dict.fromkeys(path.name for path in inputs if path is not None)
-        ),
+        "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
         BLURRED: ", ".join(sorted(now | earlier.keys())),
         **({LAYERS: stack.describe(loaded.layers)} if loaded.layers else {}),
         **({NEIGHBORS: neighbors} if neighbors else {}),
