@@ -117,16 +117,26 @@ def _read_still(arguments: argparse.Namespace) -> Any:
     )
 
 
+def with_remedies(error: Any) -> Any:
+    """A `jaxblur.exr.JaxblurIOError` with the remedies of this command.
+
+    Args:
+        error: it, whose remedies are options of ``jaxblur blur``.
+    """
+    reason = error.reason.replace(
+        "choose with `layer` or `color_channels`", "choose one as FILE:LAYER"
+    )
+    return type(error)(
+        error.path, reason.replace("`depth_channel` or `depth_from`", "`depth_channel`")
+    )
+
+
 def _explained(error: Any, number: int, place: stack.LayerPlace) -> Any:
     """An error of reading a frame with the remedies of this command."""
     from jaxblur.exr import JaxblurIOError
 
     if "vectors" not in error.reason:
-        reason = error.reason.replace(
-            "choose with `layer` or `color_channels`", "choose one as FILE:LAYER"
-        )
-        reason = reason.replace("`depth_channel` or `depth_from`", "`depth_channel`")
-        return JaxblurIOError(error.path, reason)
+        return with_remedies(error)
     name, prefix = f"layer {number + 1}", f"{place.layer}." if place.layer else ""
     if place.layer:
         name += f" ({place.layer})"

@@ -140,7 +140,12 @@ def run(arguments: argparse.Namespace) -> int:
     if sequence.is_asked_for(arguments):
         return sequence.run(arguments, asked)
     sequence.refuse_options(arguments)
-    return blur.run_single(arguments, asked)
+    from jaxblur.exr import JaxblurIOError
+
+    try:
+        return blur.run_single(arguments, asked)
+    except JaxblurIOError as error:
+        raise layer_reading.with_remedies(error) from error
 
 
 def _check(arguments: argparse.Namespace) -> None:
