@@ -103,7 +103,7 @@ def test_layers_at_rest_are_composited_as_they_are():
     )
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
+@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_the_picture(backend):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
     front, back = layers_of(8.0, 0.0)
