@@ -341,6 +341,7 @@ def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
         ),
         (("blur", "a.exr", "b.exr", "-o", "c.exr"), "as one pattern, in quotes: 'name.####.exr'"),
         (("blur", "-o", "c.exr", "a.exr", "b.exr"), "unexpected b.exr: "),
+        (("blur", "a.exr", "b.exr", "-o", "c.exr"), "`jaxblur layers FRONT.exr BACK.exr -o OUT"),
     ],
 )
 def test_a_mistyped_option_is_named_with_the_nearest_and_the_help_of_its_command(arguments, says):

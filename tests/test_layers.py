@@ -103,7 +103,7 @@ def test_layers_at_rest_are_composited_as_they_are():
     )
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
+@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_the_picture(backend):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
     front, back = layers_of(8.0, 0.0)
@@ -143,12 +143,88 @@ def test_neighbors_and_spacing_are_taken_too():
     assert error(blur_layers([near, back], settings=settings), truth_of(10.0, 0.0)) < 0.03
 
 
+def test_what_a_nearer_thing_of_its_layer_hides_goes_on_behind_it():
+    """A bar comes out from behind a post at rest; both are in the front layer."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    post = (columns < 30)[..., None] * np.ones((*SIZE, 2))
+
+    def bar(offset=0.0):
+        cover = np.clip(columns - offset - 10, 0, 1) * np.clip(52.5 + offset - columns, 0, 1)
+        return (cover * (np.abs(rows - 20) < 8))[..., None] * np.array([0.5, 1.0])
+
+    color = over(post, bar())
+    moves = (bar()[..., 1] > 0) & (columns >= 30)
+    depth = np.where(columns < 30, 1.0, np.where(moves, 2.0, np.inf))
+    velocity = np.where(moves[..., None], [10.0, 0.0], 0.0)
+    front = jaxblur.Frame(*(jnp.asarray(b, jnp.float32) for b in (color, depth, velocity)))
+    together = blur_layers([front, frame_of(back_image(), 0.0, 9.0)], settings=SETTINGS)
+    # Beside the post the bar is all the time, of which the frame shows half.
+    beside = np.s_[14:27, 31:38]
+    np.testing.assert_allclose(np.asarray(together)[beside], color[beside], atol=0.02)
+
+
+def in_color(frame):
+    """The frame in red, green and blue, all alike, and alpha."""
+    gray, alpha = jnp.split(frame.color, 2, axis=-1)
+    return frame.replace(color=jnp.concatenate([gray, gray, gray, alpha], axis=-1))
+
+
+def test_color_is_blurred_as_gray_is():
+    layers = layers_of(8.0, 0.0)
+    gray = blur_layers(layers, settings=SETTINGS)
+    color = blur_layers(list(map(in_color, layers)), settings=SETTINGS)
+    np.testing.assert_allclose(color[..., 2:], gray, atol=1e-6)
+
+
+def empty_layer():
+    """Nothing, which moves; at the borders nothing is known of it."""
+    rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
+    velocity = np.stack([20 * np.sin(rows / 3), 12 + columns / 9], axis=-1)
+    buffers = np.zeros((*SIZE, 2)), 1.0 + rows % 5, velocity
+    return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
+
+
+@pytest.mark.parametrize(("backend", "place"), [("native", 0), ("xla", 1)])
+def test_an_empty_layer_changes_nothing(backend, place):
+    settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
+    layers = layers_of(9.0, -6.0)
+    alone = blur_layers(layers, settings=settings)
+    layers.insert(place, empty_layer())
+    np.testing.assert_allclose(blur_layers(layers, settings=settings), alone, atol=2e-6)
+
+
+def test_an_empty_layer_behind_the_others_changes_what_is_guessed_at_the_border_alone():
+    layers = layers_of(9.0, -6.0)
+    alone = np.asarray(blur_layers(layers, settings=SETTINGS))
+    with_it = np.asarray(blur_layers([*layers, empty_layer()], settings=SETTINGS))
+    np.testing.assert_allclose(with_it[:, 7:-7], alone[:, 7:-7], atol=2e-6)
+    np.testing.assert_allclose(with_it[..., 1], 1, atol=1e-5)
+
+
+def test_what_the_border_cuts_goes_on_outside():
+    """A disc of one color that comes in from the left, partly outside at the time of the frame."""
+
+    def cut_disc(offset=0.0):
+        alpha = disc((4, 20), 12, offset)
+        return np.concatenate([0.9 * alpha, alpha], axis=-1)
+
+    layers = [frame_of(cut_disc(), 10.0, 2.0), frame_of(back_image(), 0.0, 9.0)]
+    times = np.linspace(-1, 1, 201)[:-1] + 1 / 200
+    truth = np.mean([over(cut_disc(10 * t), back_image()) for t in times], axis=0)
+    together = np.asarray(blur_layers(layers, settings=SETTINGS))
+    # Were it transparent where nothing is known of it, this would be 0.015.
+    assert np.sqrt(np.mean((together - truth)[:, :24] ** 2)) < 0.012
+    np.testing.assert_allclose(together[..., 1], 1, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("layers", "words"),
     [
-        (lambda a, b: [], "sequence of frames"),
-        (lambda a, b: [a, b.replace(color=b.color[..., :1])], r"`layers\[1\]` must have the shape"),
-        (lambda a, b: [f.replace(color=f.color[..., :1]) for f in (a, b)], "alpha"),
+        (lambda a, b: [], "at least one layer"),
+        (lambda a, b: [a, in_color(b)], r"`layers\[1\]` must have the shape"),
+        (lambda a, b: [a, b.replace(color=b.color[..., :1])], r"`layers\[1\]` .*add an alpha of 1"),
+        (lambda a, b: [f.replace(color=in_color(f).color[..., :3]) for f in (a, b)], "alpha of 1"),
+        (lambda a, b: [a, b.replace(color=b.color * 2)], r"`layers\[1\]` .*values from 2 to 2"),
         (lambda a, b: [a.replace(valid=jnp.ones(SIZE)), b], "mask"),
         (lambda a, b: [Layer(a, before=b.replace(color=b.color[1:])), b], r"`layers\[0\].before`"),
     ],

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, mattes, results, sequence, stages, strength
+from . import isolation, mattes, results, sequence, stack, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -79,7 +79,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
     results.add_option(parser)
     _add_neighbor_options(parser)
-    _add_color_options(parser)
+    add_color_options(parser)
     add_compute_options(parser)
     add_threads_option(parser)
     group = add_filter_options(parser)
@@ -125,7 +125,8 @@ def _add_neighbor_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_color_options(parser: argparse.ArgumentParser) -> None:
+def add_color_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of how colors are shown; `check_colors` reads them."""
     group = parser.add_argument_group(
         "colors of previews, scores and reports; an EXR keeps its own"
     )
@@ -144,10 +145,12 @@ def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
         re.sub(r"\d+(?=\D*$)", lambda m: "#" * len(m[0]), name) for name in (*left, *given[:1])
     }
     pattern = names.pop() if len(names) == 1 else ""
+    layers = "; layers of one frame: `jaxblur layers FRONT.exr BACK.exr -o OUT.exr`"
+    more = "" if "#" in pattern else layers
     example = pattern if "#" in pattern else "name.####.exr"
     return (
         "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
-        f"'{example}'"
+        f"'{example}'{more}"
     )
 
 
@@ -176,8 +179,8 @@ def run(arguments: argparse.Namespace) -> int:
         return isolation.run(arguments)
     settle(arguments)
     _check_plan(arguments)
-    _check_motion(arguments)
-    _check_colors(arguments)
+    check_motion(arguments)
+    check_colors(arguments)
     strength.check(arguments)
     mattes.check(arguments)
     results.check(arguments)
@@ -188,10 +191,23 @@ def run(arguments: argparse.Namespace) -> int:
         if sequence.is_asked_for(arguments):
             return sequence.run(arguments, asked)
         sequence.refuse_options(arguments)
-        return _run_single(arguments, asked)
+        return run_single(arguments, asked)
 
 
-def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
+def run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
+    """Blur one frame.
+
+    Args:
+        arguments: of the command.
+        asked: filter, parameters and settings from the options.
+
+    Returns:
+        0.
+
+    Raises:
+        CommandError: an option is wrong or an output must not be replaced.
+        JaxblurIOError: a file cannot be read or written.
+    """
     from jaxblur import exr
 
     arguments.in_sequence = False
@@ -245,9 +261,9 @@ def _load(arguments: argparse.Namespace, asked: stages.Choice) -> stages.Loaded:
     """Read the frame, and its neighbors by the same options."""
     loaded = stages.load(arguments, asked.settings)
     neighbors = {
-        side: stages.read(argparse.Namespace(**vars(arguments) | {"input": path}))
+        side: stages.read(argparse.Namespace(**vars(arguments) | files))
         for side in ("before", "after")
-        if (path := getattr(arguments, side)) is not None
+        if (files := stack.files_of(arguments, side))
     }
     for side, source in neighbors.items():
         if differs := stages.mismatch(loaded, source):
@@ -366,8 +382,12 @@ def _check_plan(arguments: argparse.Namespace) -> None:
             raise CommandError(f"{option}: {reason}; leave out one of the two.")
 
 
-def _check_motion(arguments: argparse.Namespace) -> None:
-    """Reject a shutter that leaves every frame sharp where motion is required."""
+def check_motion(arguments: argparse.Namespace) -> None:
+    """Reject a shutter that leaves every frame sharp where motion is required.
+
+    Raises:
+        CommandError: it does.
+    """
     if arguments.require_motion and arguments.shutter == 0:
         raise CommandError(
             "--require-motion: at --shutter 0 nothing moves; give an exposure above 0, or leave "
@@ -375,8 +395,13 @@ def _check_motion(arguments: argparse.Namespace) -> None:
         )
 
 
-def _check_colors(arguments: argparse.Namespace) -> None:
-    """Reject colors that nothing would be shown in, or that the configuration lacks."""
+def check_colors(arguments: argparse.Namespace) -> None:
+    """Reject colors that nothing would be shown in, or that the configuration lacks.
+
+    Raises:
+        CommandError: nothing would be shown in them.
+        ValueError: the configuration lacks them.
+    """
     if arguments.view is None and arguments.color_space is None:
         return
     from jaxblur import exr
@@ -402,6 +427,8 @@ def _outputs(arguments: argparse.Namespace) -> list[pathlib.Path]:
 
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
-    files = (arguments.input, arguments.velocity_from, arguments.depth_from, arguments.truth)
-    more = (arguments.matte_from, arguments.before, arguments.after, *_subframe_files(arguments))
+    files = [getattr(arguments, role) for role in stack.roles(arguments)]
+    files += [arguments.velocity_from, arguments.depth_from, arguments.truth]
+    near = [path for s in ("before", "after") for path in stack.files_of(arguments, s).values()]
+    more = (arguments.matte_from, *near, *_subframe_files(arguments))
     return [path for path in (*files, *more) if path is not None]

@@ -22,24 +22,31 @@ CHOICES = choices_of(GuertinSettings)
 """Settings with an option that takes one of some names."""
 
 
-def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_FILTER) -> Any:
+def add_filter_options(
+    parser: argparse.ArgumentParser, default: str = DEFAULT_FILTER, alone: bool = False
+) -> Any:
     """Add the options that choose and configure the filter; `complete` reads them.
 
     Args:
         parser: of a command.
         default: name of the filter that runs unless another is named.
+        alone: whether no other can be named, so that only its own options are added.
 
     Returns:
         The group of these options.
     """
     group = parser.add_argument_group("filter")
-    group.add_argument(
-        "--filter",
-        type=filter_name,
-        metavar="NAME",
-        help=f"default {default}; see below; FILE.py:NAME for a filter of your own",
-    )
-    parser.set_defaults(default_filter=default)
+    own = {field.name for field in dataclasses.fields(filter_info(default).kind)}
+    left_out = {"filter", *(name for name in (*CHOICES, "temperature") if name not in own)}
+    left_out = left_out if alone else set()
+    parser.set_defaults(default_filter=default, **dict.fromkeys(left_out))
+    if not alone:
+        group.add_argument(
+            "--filter",
+            type=filter_name,
+            metavar="NAME",
+            help=f"default {default}; see below; FILE.py:NAME for a filter of your own",
+        )
     group.add_argument(
         "--samples",
         type=positive_integer,
@@ -69,18 +76,21 @@ def add_filter_options(parser: argparse.ArgumentParser, default: str = DEFAULT_F
     )
     common, usual = choices_of(Settings), GuertinSettings()
     for name, options in CHOICES.items():
+        if name in left_out:
+            continue
         default = "see below" if name == "fetch" else getattr(usual, name)
         only = "" if name in common else "guertin2014 only; "
         group.add_argument(
             f"--{name.replace('_', '-')}", choices=options, help=f"{only}default {default}"
         )
-    group.add_argument(
-        "--temperature",
-        type=positive_number,
-        metavar="PX",
-        help="guertin2014 only; of --dominant soft, the smaller the nearer to the longest velocity "
-        f"(default {usual.temperature})",
-    )
+    if "temperature" not in left_out:
+        group.add_argument(
+            "--temperature",
+            type=positive_number,
+            metavar="PX",
+            help="guertin2014 only; of --dominant soft, the smaller the nearer to the longest "
+            f"velocity (default {usual.temperature})",
+        )
     return group
 
 
@@ -283,10 +293,14 @@ def check_names(info: FilterInfo, parameters: Iterable[str], source: str) -> Non
             raise CommandError(f"{source}: {info.name} has no parameter {name!r}{hint}; {known}.")
 
 
-def describe_filters() -> str:
-    """List filters, parameters and defaults for the help."""
+def describe_filters(*chosen: str) -> str:
+    """List filters, parameters and defaults for the help.
+
+    Args:
+        *chosen: their names; all if none are given.
+    """
     lines = ["filters, with their default settings and --param names:"]
-    for info in map(filter_info, names()):
+    for info in map(filter_info, chosen or names()):
         settings = info.settings
         lines += [
             f"  {info.name}: {info.summary}",
@@ -325,18 +339,30 @@ def apply_filter(
     import numpy as np
 
     from jaxblur.frame import Frame
-    from jaxblur.noise import make_noise
 
     info = filter_info(name)
     frame = buffers if isinstance(buffers, Frame) else buffers.frame()
     settings = checked_settings(settings, info.kind, info.name)
-    noise = None
-    if seed is not None and settings.noise != "none":
-        height, width = frame.depth.shape
-        noise = make_noise(settings.noise, height, width, seed)
+    noise = noise_of(settings, seed, frame.depth.shape)
     values = info.make_parameters(**parameters)
     call: Any = info.call
     return np.asarray(call(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+
+
+def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:
+    """The built-in noise, moved by a seed; None where it is not moved, or there is none.
+
+    Args:
+        settings: of the filter.
+        seed: see `apply_filter`.
+        size: rows and columns.
+    """
+    from jaxblur.noise import make_noise
+
+    if seed is None or settings.noise == "none":
+        return None
+    height, width = size
+    return make_noise(settings.noise, height, width, seed)
 
 
 def takes_neighbors(name: str) -> bool:

@@ -20,6 +20,7 @@ from . import (
     export,
     fit,
     info,
+    layers,
     play,
     report,
     scene,
@@ -33,7 +34,10 @@ from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench, export, play, study, votes)
+COMMANDS = (
+    *(blur, layers, fit, info, vectors, report, demo, scene, bench),
+    *(export, play, study, votes),
+)
 
 USAGE = 2
 INTERRUPTED = 130

@@ -16,7 +16,7 @@ from typing import Any
 
 import jaxblur
 
-from . import mattes, results, stages, strength
+from . import mattes, results, stack, stages, strength
 from .arguments import CommandError, frame_numbers, in_option_names, positive_integer
 from .compute import start_jax
 from .console import print_line, print_table
@@ -59,6 +59,8 @@ NOT_A_CHOICE = frozenset(
         *("neighbors", "before", "after", "subframes"),
         # The exposure counts by its times and its points.
         *("exposure", *OPTIONS),
+        # Layers count by what is known of each before it is read; their files are inputs.
+        *("layers", "holdout", "still"),
     }
 )
 
@@ -328,13 +330,15 @@ class FrameWork:
     def _at(self, job: Any, number: int | None = None) -> argparse.Namespace:
         """The arguments for the frame of a job, or for one of its neighbors."""
         inputs = job.neighbors.get(number, job.inputs)
-        here: dict[str, Any] = {role: inputs.get(role) for role in _ROLES}
+        here: dict[str, Any] = {role: inputs.get(role) for role in _roles(self.arguments)}
         if self.arguments.seed == "frame":
             here["seed"] = job.frame
         return argparse.Namespace(**vars(self.arguments) | here)
 
 
-_ROLES = ("input", "velocity_from", "depth_from", "matte_from", "truth")
+def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The roles of all files of a frame."""
+    return (*stack.roles(arguments), "velocity_from", "depth_from", "matte_from", "truth")
 
 
 class _Run:
@@ -502,7 +506,7 @@ def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
         # Workers may stand in another folder.
         return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
 
-    given = {role: getattr(arguments, role) for role in _ROLES}
+    given = {role: getattr(arguments, role) for role in _roles(arguments)}
     sources = {
         role: parse_names(placed(path)) if has_frame_number(path) or role == "input" else path
         for role, path in given.items()
@@ -553,7 +557,8 @@ def _choices(arguments: argparse.Namespace, asked: stages.Choice) -> dict[str, A
     A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
     default.
     """
-    given = {key: value for key, value in vars(arguments).items() if key not in NOT_A_CHOICE}
+    places = NOT_A_CHOICE | {*stack.roles(arguments)}
+    given = {key: value for key, value in vars(arguments).items() if key not in places}
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:

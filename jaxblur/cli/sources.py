@@ -13,8 +13,13 @@ from .strength import describe_passes, passes_of
 LOG = logging.getLogger("jaxblur")
 
 
-def add_vector_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what the vectors in a file mean."""
+def add_vector_options(parser: argparse.ArgumentParser, layer: bool = True) -> None:
+    """Add the options that say what the vectors in a file mean.
+
+    Args:
+        parser: of a command.
+        layer: whether one option names the layer, for commands that take one frame.
+    """
     group = parser.add_argument_group("motion vectors")
     add_exposure(group, "--shutter", "exposure to blur for", default=0.5)
     group.add_argument(
@@ -38,7 +43,10 @@ def add_vector_options(parser: argparse.ArgumentParser) -> None:
     )
     add_fps(group)
     add_max_displace(group)
-    group.add_argument("--layer", metavar="NAME", help="view layer, stereo view or part to look in")
+    if layer:
+        group.add_argument(
+            "--layer", metavar="NAME", help="view layer, stereo view or part to look in"
+        )
 
 
 def add_max_displace(parser: Any) -> None:
@@ -72,6 +80,27 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
     files: dict[str, Any] = {"nargs": "+", "help": of_many} if of_many else {"type": file_path}
     for name in ("--velocity-from", "--depth-from"):
         group.add_argument(name, metavar="FILE", **files)
+    _add_kinds(group)
+    return group
+
+
+def add_depth_options(parser: argparse.ArgumentParser) -> Any:
+    """Add those of `add_source_options` that hold for each of several layers.
+
+    Args:
+        parser: of a command.
+
+    Returns:
+        Their group.
+    """
+    group = parser.add_argument_group("depth and sky")
+    group.add_argument("--depth-channel", metavar="NAME")
+    _add_kinds(group)
+    return group
+
+
+def _add_kinds(group: Any) -> None:
+    """Add the options for the kind of depth and for the sky."""
     group.add_argument(
         "--depth",
         default="auto",
@@ -85,7 +114,6 @@ def add_source_options(parser: argparse.ArgumentParser, of_many: str = "") -> An
         help="velocity of the sky: as in the file, or, where it is zero there, that of the "
         "camera's turn, estimated from the surfaces (default %(default)s)",
     )
-    return group
 
 
 def read(arguments: argparse.Namespace) -> Any:

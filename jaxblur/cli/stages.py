@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jaxblur
+from jaxblur.filters.registry import filter_info
 from jaxblur.settings import Settings
 
-from . import sources, strength
+from . import layer_reading, sources, stack, strength
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
-from .filtering import apply_filter, takes_neighbors
+from .filtering import apply_filter, noise_of, takes_neighbors
 from .shutter import Exposure
 
 LOG = logging.getLogger("jaxblur")
@@ -33,6 +34,8 @@ NEIGHBORS = "jaxblur:neighbors"
 """Header attribute: the frames before and after that a frame was blurred with."""
 MOTION = "jaxblur:motion"
 """Header attribute: how the motion of the frame was changed before the blur, in words."""
+LAYERS = "jaxblur:layers"
+"""Header attribute: the layers that were blurred together, the front one first."""
 SUBFRAMES = "jaxblur:subframes"
 """Header attribute: the renders inside the exposure whose blur was averaged."""
 
@@ -62,6 +65,8 @@ class Source(NamedTuple):
         motion: how its motion was changed, in words; see `strength.apply`.
         ranks: a `jaxblur.exr.Ranks` of each Cryptomatte layer, if they are to be blurred.
         selects: whether ``--scale-motion`` is for any pixel; see `strength.Changed`.
+        layers: `.stack.ReadLayer` of each layer, of which the buffers are the composite; empty for
+            a frame without layers.
     """
 
     path: pathlib.Path
@@ -70,6 +75,7 @@ class Source(NamedTuple):
     motion: str = ""
     ranks: tuple[Any, ...] = ()
     selects: bool = True
+    layers: tuple[stack.ReadLayer, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +96,7 @@ class Loaded:
         ranks: of `Source`.
         changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
         selects: of `Source`.
+        layers: of `Source`.
     """
 
     buffers: Any
@@ -105,6 +112,7 @@ class Loaded:
     ranks: tuple[Any, ...] = ()
     changes: tuple[Any, ...] = ()
     selects: bool = True
+    layers: tuple[stack.ReadLayer, ...] = ()
 
     def picture(self, blurred: Any) -> Any:
         """The blurred picture, without further passes."""
@@ -119,7 +127,8 @@ class Loaded:
     def without_neighbor_pixels(self) -> "Loaded":
         """The frame for what follows the filter, in less memory."""
         names = {
-            side: source._replace(buffers=None, ranks=()) for side, source in self.neighbors.items()
+            side: source._replace(buffers=None, ranks=(), layers=())
+            for side, source in self.neighbors.items()
         }
         return dataclasses.replace(self, neighbors=names, ranks=())
 
@@ -154,8 +163,13 @@ def read(arguments: argparse.Namespace) -> Source:
     from jaxblur import exr
 
     mattes = getattr(arguments, "matte_from", None)
-    files = (arguments.input, arguments.velocity_from, arguments.depth_from, mattes)
+    files = [getattr(arguments, role) for role in stack.roles(arguments)]
+    files += [arguments.velocity_from, arguments.depth_from, mattes]
     states = exr.FileStates.of(path for path in files if path is not None)
+    if getattr(arguments, "stack", ()):
+        layers, motion, selects = layer_reading.read(arguments)
+        picture = stack.composite(layers)
+        return Source(arguments.input, picture, states, motion, selects=selects, layers=layers)
     buffers, motion, selects = strength.apply(arguments, sources.read(arguments))
     ranks = ()
     if getattr(arguments, "cryptomatte", None):
@@ -193,10 +207,13 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     seen = velocity if exposure is None else velocity * np.float32(exposure.reach)
     speeds = vectors.speed_statistics(seen, settings.radius)
     _check_motion(arguments, source, speeds.percentiles[100.0])
+    path, named = arguments.input, buffers
+    if source.layers:
+        path, named = source.layers[0].path, source.layers[0].buffers
     return Loaded(
         buffers,
         truth,
-        _colors(arguments, arguments.input, buffers.color_channels[0]),
+        _colors(arguments, path, named.color_channels[0]),
         speeds,
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         source.states,
@@ -205,6 +222,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         motion=source.motion,
         ranks=source.ranks,
         selects=source.selects,
+        layers=source.layers,
     )
 
 
@@ -315,7 +333,25 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         more = {**given, "shutter": loaded.shutter}
     if loaded.exposure is not None:
         more["exposure"] = loaded.exposure.shutter()
+    if loaded.layers:
+        return _blur_layers(chosen, loaded, seed)
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
+
+
+def _blur_layers(chosen: Choice, loaded: Loaded, seed: int | None) -> Any:
+    """Blur layers together; see `blur`."""
+    near = {side: source.layers for side, source in loaded.neighbors.items()}
+    exposure = loaded.exposure
+    return stack.blur(
+        loaded.layers,
+        near,
+        filter_info(chosen.name).make_parameters(**chosen.parameters),
+        loaded.buffers.pass_channels,
+        settings=chosen.settings,
+        noise=noise_of(chosen.settings, seed, loaded.buffers.depth.shape),
+        shutter=loaded.shutter,
+        exposure=None if exposure is None else exposure.shutter(),
+    )
 
 
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
@@ -391,6 +427,9 @@ def write(
         # Once the first file is there, the others, of the same pixels, belong beside it: an input
         # that changes after that is not used any more.
         unchanged = loaded.states if position == 0 else None
+        if loaded.layers and output.suffix.lower() == ".exr":
+            _write_composite(output, image, provenance, loaded, unchanged)
+            continue
         if output.suffix.lower() == ".png":
             words = {} if colors.is_identity else {exr.COLORS: colors.words}
             shown, notes = colors.light(loaded.picture(image)), dict(provenance) | words
@@ -411,6 +450,28 @@ def write(
         )
 
 
+def _write_composite(
+    output: pathlib.Path, image: Any, notes: Mapping[str, str], loaded: Loaded, unchanged: Any
+) -> None:
+    """Write the blurred layers with the windows and the metadata of the front one."""
+    import numpy as np
+
+    from jaxblur import exr
+
+    names = (*loaded.buffers.color_channels, *loaded.buffers.pass_channels)
+    front = loaded.layers[0]
+    part = stack.part_of(front)
+    colors = [c for c in part.channels if c.name in front.buffers.color_channels]
+    exr.write_channels(
+        output,
+        dict(zip(names, np.moveaxis(image, -1, 0), strict=True)),
+        dtype="half" if all(channel.type == "half" for channel in colors) else "float",
+        attributes=notes,
+        like=(front.path, colors[0].part) if front.path.suffix.lower() == ".exr" else None,
+        unchanged=unchanged,
+    )
+
+
 def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> dict[str, str]:
     """Everything needed to make an output again; file names without folders."""
     buffers = loaded.buffers
@@ -425,7 +486,9 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
     if arguments.seed is not None:
         used["seed"] = arguments.seed
     others = (arguments.velocity_from, arguments.depth_from, arguments.matte_from)
-    inputs = [arguments.input, *others]
+    files = (getattr(arguments, role) for role in stack.roles(arguments))
+    inputs = [*dict.fromkeys(files), *others]
+    earlier = {} if loaded.layers else _blurred_before(arguments.input)
     neighbors = ""
     if loaded.neighbors and chosen.name != PASSED_THROUGH and takes_neighbors(chosen.name):
         near = {side: source.path.name for side, source in loaded.neighbors.items()}
@@ -444,7 +507,8 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         "jaxblur:parameters": _toml(chosen.parameters),
         "jaxblur:settings": _toml(used),
         "jaxblur:inputs": ", ".join(path.name for path in inputs if path is not None),
-        BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
+        BLURRED: ", ".join(sorted(now | earlier.keys())),
+        **({LAYERS: stack.describe(loaded.layers)} if loaded.layers else {}),
         **({NEIGHBORS: neighbors} if neighbors else {}),
         **({MOTION: loaded.motion} if loaded.motion else {}),
     }
@@ -454,17 +518,17 @@ def warn_of_double_blur(arguments: argparse.Namespace) -> None:
     """Warn if the color of a frame was blurred before; other views and layers do not count."""
     from jaxblur import exr
 
-    path = arguments.input
-    info = exr.inspect(path)
-    found = exr.choose_color(info, arguments.layer, arguments.color_channels)
-    passes = exr.choose_passes(info, found, strength.passes_of(arguments), arguments.layer)
-    mattes: list[Any] = []
-    if getattr(arguments, "cryptomatte", None):
-        mattes = exr.layers_of_picture(info, found)
-    earlier = _blurred_before(path)
-    names = (*found.channels, *passes, *(name for layer in mattes for name in layer.channels))
-    for name in dict.fromkeys(earlier[name] for name in names if name in earlier):
-        LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
+    for here in stack.each(arguments):
+        path, info = here.input, exr.inspect(here.input)
+        found = exr.choose_color(info, here.layer, here.color_channels)
+        passes = exr.choose_passes(info, found, strength.passes_of(here), here.layer)
+        mattes: list[Any] = []
+        if getattr(here, "cryptomatte", None):
+            mattes = exr.layers_of_picture(info, found)
+        earlier = _blurred_before(path)
+        names = (*found.channels, *passes, *(name for layer in mattes for name in layer.channels))
+        for name in dict.fromkeys(earlier[name] for name in names if name in earlier):
+            LOG.warning("%s: was blurred by %s before; this blurs it again.", path, name)
 
 
 def _blurred_before(path: pathlib.Path) -> dict[str, str]:

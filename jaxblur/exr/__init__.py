@@ -54,6 +54,7 @@ from .cryptomatte import (
     names_in as names_in,
     read_cryptomatte as read_cryptomatte,
 )
+from .deep import is_deep as is_deep, read_deep_layers as read_deep_layers
 from .files import (
     Channel as Channel,
     FileInfo as FileInfo,

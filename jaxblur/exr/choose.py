@@ -184,6 +184,9 @@ def choose_color(
         found = [group for group in groups if _layer_name(group.prefix) == wanted]
         if found:
             return _single(info, found)
+    of_its_name = [g for g in groups if layer and _layer_name(g.prefix) == layer.lower()]
+    if of_its_name:
+        return _single(info, of_its_name)
     if not groups:
         listing = vectors.describe_names(tuple(scope.values()))
         raise JaxblurIOError(

@@ -436,7 +436,10 @@ def read_span(source: Any, info: FileInfo, part: int, begin: int, end: int, kind
     described = info.parts[part]
     names = ", ".join(channel.name for channel in described.channels[begin:end])
     if described.deep:
-        raise JaxblurIOError(info.path, f"{names}: deep pixels; flatten the image first.")
+        raise JaxblurIOError(
+            info.path,
+            f"{names}: deep pixels; flatten the image first, or blur it by `jaxblur layers`.",
+        )
     _check_size(info, described)
     try:
         pixels = source.read_image(part, 0, begin, end, kind)

@@ -224,7 +224,7 @@ def read_buffers(
         distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
     else:
         warn_lossy(depth_info, depth_info.channel(channel))
-        kind = _depth_kind(depth, guess, channel, path)
+        kind = depth_kind_of(depth, guess, channel, path)
         stored = more[-1][..., 0]
         signed = -stored if kind.startswith("-") else stored
         lost = without_depth(depth_info.path, channel, signed, nonfinite)
@@ -335,7 +335,7 @@ def _as_light(
     return refuse_or_zero(info.path, group.channels, color, nonfinite)
 
 
-def _depth_kind(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
+def depth_kind_of(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
     """Resolve "auto"; warn if it means anything but plain distance."""
     if depth != "auto":
         return depth

@@ -142,6 +142,8 @@ def write_channels(
     *,
     dtype: Literal["half", "float"] | Mapping[str, Literal["half", "float"]] = "float",
     attributes: Mapping[str, str | int | float] | None = None,
+    like: tuple[PathLike, int] | None = None,
+    unchanged: FileStates | None = None,
 ) -> None:
     """Write named channels as a single-part EXR with zip compression, atomically.
 
@@ -150,12 +152,20 @@ def write_channels(
         channels: (H, W) arrays by full channel name, all of one size.
         dtype: type of all channels, or by name (float where not named).
         attributes: metadata to add.
+        like: EXR file, flat or deep, and number of its part, whose windows and metadata are taken.
+        unchanged: as `write_image`.
 
     Raises:
-        JaxblurIOError: writing failed.
+        JaxblurIOError: writing failed, or the size is not that of ``like``, or an input has
+            changed.
         ValueError: no channels, or sizes differ.
     """
-    _write_channels(path, channels, dtype, attributes, None)
+    last_check = unchanged.check if unchanged is not None else None
+    header = None
+    if like is not None:
+        refuse_overwrite(path, like[0])
+        header = _header_like(*like)
+    _write_channels(path, channels, dtype, attributes, last_check, header)
 
 
 def _write_channels(
@@ -164,6 +174,7 @@ def _write_channels(
     dtype: str | Mapping[str, str],
     attributes: Mapping[str, str | int | float] | None,
     last_check: Callable[[], None] | None,
+    header: Any = None,
 ) -> None:
     arrays = {name: np.asarray(values, np.float32) for name, values in channels.items()}
     shapes = {values.shape for values in arrays.values()}
@@ -171,7 +182,12 @@ def _write_channels(
         raise ValueError(f"`channels` must be arrays of one (height, width), got {shapes}.")
     ((height, width),) = shapes
     kinds = [dtype if isinstance(dtype, str) else dtype.get(name, "float") for name in arrays]
-    spec = oiio.ImageSpec(width, height, len(arrays), "float")
+    spec = oiio.ImageSpec(width, height, len(arrays), "float") if header is None else header
+    if (spec.height, spec.width) != (height, width):
+        raise JaxblurIOError(
+            path, f"the image has {width}x{height} pixels, its model {spec.width}x{spec.height}."
+        )
+    spec.nchannels = len(arrays)
     spec.channelnames = tuple(arrays)
     _set_formats(spec, kinds)
     spec.attribute("compression", "zip")
@@ -181,6 +197,17 @@ def _write_channels(
     pixels[..., half] = _clamp_half(path, pixels[..., half])
     with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
         check(path, output, output.write_image(pixels))
+
+
+def _header_like(path: PathLike, part: int) -> Any:
+    """The header of a part, without what belongs to its channels and its place among others."""
+    with open_input(path) as source:
+        source.seek_subimage(part, 0)
+        header = oiio.ImageSpec(source.spec())
+    header.deep = False
+    for name in (*STORAGE, "name", "oiio:subimagename", "view", "multiView", "oiio:subimages"):
+        header.erase_attribute(name)
+    return header
 
 
 def write_frame(

@@ -113,8 +113,9 @@ def _layered_rows(
     parameters: LayeredParameters, settings: Settings, curved: bool
 ) -> tuple[int, int]:
     # An owner is as far as the radius. Its path depends on velocities half as far from it, and on
-    # their neighbors. The point that is read is at most a slice away from the owner.
-    return 1, 2 * settings.radius + 4
+    # their neighbors. The point that is read is at most a slice away from the owner. The background
+    # is searched up to 16 px away.
+    return 1, max(2 * settings.radius + 4, 20)
 
 
 BUILTIN: Sequence[FilterInfo] = (

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import core
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
@@ -21,20 +22,19 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...noise import Noise
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
+from .._sampling import find_texel
 from ..builtin import check_layered
 from ..parameters import LayeredParameters
+from .clock import time_of_light
 from .filter import Others, check_frames, checked_neighbor, exposed, frames_of, passes_before
 from .owners import RESTS
-from .slices import (
-    Images,
-    Inputs,
-    Plan,
-    Sums,
-    longest_motion,
-    mean_of,
-    slices_along,
-    slices_at,
-)
+from .paths import Path
+from .slices import SMALLEST_WEIGHT, Images, Inputs, Plan, longest_motion, slices_along, slices_at
+
+_INSIDE = Settings(border="skip")
+
+ALPHA_BEYOND = 0.1
+"""How far alpha may lie outside 0..1: pixel filters with negative lobes leave such values."""
 
 
 @jax.tree_util.register_dataclass
@@ -80,45 +80,123 @@ class StackPlan(NamedTuple):
     holdouts: tuple[bool, ...]
 
 
+class StackSums(NamedTuple):
+    """Sums over the slices of a pixel.
+
+    Attributes:
+        front: color of all layers but the last, composited.
+        last: color of the last layer, as far as it is known, seen through the others.
+        known: how much of it is known and seen.
+        through: how much of it is seen.
+        counts: what the slices count.
+    """
+
+    front: tuple[Array, ...]
+    last: tuple[Array, ...]
+    known: Array
+    through: Array
+    counts: Array
+
+
 def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outcome:
     """The mean over the slices of time of the layers, composited.
 
         C = sum_k C_k T_k,   T_1 = 1,   T_(k+1) = T_k (1 - a_k)
 
-    in each slice, with the layers from the front to the back. What is not known of a layer is left
-    out of the mean, together with what would be seen through it.
+    in each slice, with the layers from the front to the back. Where a layer is not known, it is
+    left out of the mean as far as it goes on there (see `goes_on`), and is transparent otherwise.
+    The last layer has there the mean color of what is known of it, as in `layered`.
     """
     plan, limit = stack.plan, None
     if plan.settings.spacing:
         motions = [longest_motion(at, layer, plan) for layer in images.layers]
         limit = slices_along(functools.reduce(jnp.maximum, motions), plan)
     slices = [slices_at(at, layer, inputs, plan, limit) for layer in images.layers]
+    count = plan.slices if limit is None else limit
 
-    def slice_of_time(i: Int[Array, ""]) -> Sums:
+    def slice_of_time(i: Int[Array, ""]) -> StackSums:
         through = jnp.ones_like(images.sharp.here()[0])
-        color, known = [jnp.zeros_like(through)] * images.sharp.channels, jnp.zeros_like(through)
-        light = None
-        for slice_at, holdout in zip(slices, stack.holdouts, strict=True):
+        nothing = (jnp.zeros_like(through),) * images.sharp.channels
+        front, last, known, light = nothing, nothing, jnp.zeros_like(through), None
+        counts = through
+        for number, (slice_at, holdout) in enumerate(zip(slices, stack.holdouts, strict=True)):
             seen, share, light = slice_at(i)
             if light is not None:
                 # It counts once, whatever the number of layers.
                 seen, share = tuple(channel / light for channel in seen), share / light
-            alpha = jnp.clip(seen[-1], 0, share)
-            if not holdout:
-                color = [a + through * b for a, b in zip(color, seen, strict=True)]
-            known = known + through * alpha
-            through = through * (share - alpha)
-        known = known + through
+            color = nothing if holdout else tuple(through * channel for channel in seen)
+            if number == len(slices) - 1:
+                last, known = color, through * share
+                break
+            front = tuple(a + b for a, b in zip(front, color, strict=True))
+            lost = (1 - share) * goes_on(at, images.layers[number], inputs, i, count)
+            counts = counts - through * lost
+            through = through * (1 - jnp.clip(seen[-1], 0, share) - lost)
+        sums = StackSums(front, last, known, through, counts)
         if light is not None:
-            *color, known = [light * value for value in (*color, known)]
+            sums = jax.tree.map(lambda value: light * value, sums)
         if limit is not None:
-            *color, known = [jnp.where(i < limit, value, 0) for value in (*color, known)]
-        return Sums(tuple(color), known)
+            taken = i < limit
+            sums = jax.tree.map(lambda value: jnp.where(taken, value, 0), sums)
+        return sums
 
     sums = sum_over(plan.slices, slice_of_time, limit)
+    color = blended(sums, images.layers[-1].color.here(), images.sharp.here(), stack.holdouts[-1])
     states = [layer.states.here()[0] for layer in images.layers]
     state = functools.reduce(jnp.maximum, states)
-    return Outcome(mean_of(sums, images.sharp.here()), where=state != RESTS)
+    return Outcome(color, where=state != RESTS)
+
+
+def blended(
+    sums: StackSums, last: Sequence[Array], sharp: Sequence[Array], holdout: bool
+) -> tuple[Array, ...]:
+    """The mean color of the slices, or the sharp one where nothing is known.
+
+    Args:
+        sums: of the pixel.
+        last: color of the last layer, which it has where nothing is known of it.
+        sharp: the layers at rest, composited.
+        holdout: whether the last layer is one.
+    """
+    counts, is_known = sums.counts > SMALLEST_WEIGHT, sums.known > SMALLEST_WEIGHT
+    inverse = 1 / jnp.where(counts, sums.counts, 1)
+    share = 1 / jnp.where(is_known, sums.known, 1)
+    through = jnp.zeros_like(sums.through) if holdout else sums.through
+    behind = (jnp.where(is_known, a * share, b) for a, b in zip(sums.last, last, strict=True))
+    return tuple(
+        jnp.where(counts, (a + through * b) * inverse, kept)
+        for a, b, kept in zip(sums.front, behind, sharp, strict=True)
+    )
+
+
+def goes_on(at: At, images: Images, inputs: Inputs, slice: Array, count: Array | int) -> Array:
+    """How surely a pixel of a layer stays covered in a slice in which nothing is known of it.
+
+    Its own motion leads back to where it would have come from. Where that is in the frame, farther
+    away, and transparent, the pixel is uncovered then. Else something is there that the frame does
+    not show, because it is outside or hidden, and it is taken to cover what the pixel covers.
+
+    Args:
+        at: the pixel.
+        images: of the layer.
+        inputs: scalars.
+        slice: its number.
+        count: of slices.
+
+    Returns:
+        0 to 1, at most the alpha of the pixel.
+    """
+    own, alpha = Path(*images.paths.here()), images.color.here()[-1]
+    light = (2 * slice + 1).astype(own.x.dtype) / count - 1
+    time, _ = time_of_light(light, at.row, images.clock, inputs.span)
+    squared = time * time
+    x, y = squared * own.bend_x - time * own.x, squared * own.bend_y - time * own.y
+    texel = find_texel(at, x, y, images.paths, _INSIDE, held=True)
+    depth = images.paths.read_texel(texel.number, 3)[2]
+    behind = jnp.clip(inputs.parameters.front_sharpness * (depth - own.log_depth), 0, 1)
+    there = jnp.clip(images.color.read_texel(texel.number)[-1], 0, 1)
+    uncovered = jnp.where(texel.counts, behind * (1 - there), 0)
+    return (1 - uncovered) * jnp.clip(alpha, 0, 1)
 
 
 def blur_layers(
@@ -137,9 +215,9 @@ def blur_layers(
 
     Args:
         layers: from the front to the back: frames of one size, (H, W, C) with premultiplied color
-            and alpha as the last channel, or `Layer` for neighbors and holdouts. An opaque layer,
-            as a clean plate, has an alpha of 1. Where alpha is 0, velocity should be 0 and depth
-            infinite: motion there makes what is behind less certain at the border.
+            and alpha as the last channel, or `Layer` for neighbors and holdouts. C is 2 for gray
+            and alpha, 4 for red, green, blue and alpha, or more if there are passes before alpha.
+            An opaque layer, as a clean plate, has an alpha of 1.
         parameters: of `layered`, for all layers; its defaults if None.
         settings: as `layered`. Time and memory are those of a frame times the number of layers.
         noise: as `layered`, shared by all layers.
@@ -148,15 +226,21 @@ def blur_layers(
 
     Returns:
         (H, W, C) color over nothing, premultiplied, alpha last. Differentiable as `layered` is.
+        Where a layer is not known at some time, it is transparent, so that an empty layer changes
+        nothing, whatever its velocity. But a thing that the border of the frame cuts, or another
+        thing of its layer, is taken to go on there as it looks beside it, and the last layer is
+        completed as `layered` completes a frame.
 
     Raises:
-        ValueError: there is no layer, shapes disagree, a layer has fewer than two channels or a
-            mask, or another argument is not as `layered` takes it. That the last channel is alpha
-            cannot be checked.
+        ValueError: there is no layer, shapes disagree, a layer has one channel or three, or a mask,
+            or alpha is not within 0..1, or another argument is not as `layered` takes it. The
+            values of traced arrays are not looked at.
     """
-    if isinstance(layers, Frame | Layer) or not len(layers):
+    if isinstance(layers, Frame | Layer):
         kind = type(layers).__name__
         raise ValueError(f"`layers` must be a sequence of frames, the front one first, got {kind}.")
+    if not len(layers):
+        raise ValueError("`layers` must hold at least one layer, the front one first, got none.")
     given = [Layer(layer) if isinstance(layer, Frame) else layer for layer in layers]
     for number, layer in enumerate(given):
         _check_layer(number, layer, given[0])
@@ -188,20 +272,43 @@ def _check_layer(number: int, layer: Layer, first: Layer) -> None:
     if not isinstance(layer, Layer):
         kind = type(layer).__name__
         raise ValueError(f"`{name}` must be a jaxblur.Frame or a jaxblur.Layer, got {kind}.")
+    if not isinstance(layer.frame, Frame):
+        kind = type(layer.frame).__name__
+        raise ValueError(f"`{name}.frame` must be a jaxblur.Frame, got {kind}.")
     shape, expected = jnp.shape(layer.frame.color), jnp.shape(first.frame.color)
+    if len(shape) != 3 or shape[-1] in (1, 3):
+        raise ValueError(
+            f"`{name}` must have color and, as its last channel, alpha: (H, W, C) with C of 2, 4 "
+            f"or more, got {shape}. {_ADD_ALPHA}"
+        )
     if shape != expected:
         raise ValueError(f"`{name}` must have the shape of `layers[0]`, {expected}, got {shape}.")
-    if len(shape) != 3 or shape[-1] < 2:
-        raise ValueError(
-            f"`{name}` must have color and, as its last channel, alpha: (H, W, C) with C of 2 or "
-            f"more, got {shape}. An opaque layer has an alpha of 1."
-        )
+    _check_alpha(name, layer.frame)
     for side in ("before", "after"):
         if (neighbor := getattr(layer, side)) is not None:
             checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
     if any(f is not None and f.valid is not None for f in (layer.frame, layer.before, layer.after)):
         raise ValueError(
             f"`{name}` must not have a mask (`Frame.valid`): in a layer, alpha says what is there."
+        )
+
+
+_ADD_ALPHA = (
+    "To an opaque layer add an alpha of 1: `frame.replace(color=jnp.concatenate([frame.color, "
+    "jnp.ones_like(frame.color[..., :1])], axis=-1))`."
+)
+
+
+def _check_alpha(name: str, frame: Frame) -> None:
+    """Reject a last channel that cannot be alpha; a traced one is not looked at."""
+    if isinstance(frame.color, core.Tracer):
+        return
+    alpha = jnp.asarray(frame.color)[..., -1]
+    lowest, highest = (float(f(alpha)) for f in (jnp.min, jnp.max))
+    if lowest < -ALPHA_BEYOND or highest > 1 + ALPHA_BEYOND:
+        raise ValueError(
+            f"`{name}` must have alpha, 0 to 1, as its last channel, got values from {lowest:g} to "
+            f"{highest:g}. {_ADD_ALPHA}"
         )
 
 

@@ -1,0 +1,224 @@
+"""Read the layers of a frame, and reject what cannot be one."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+from . import sources, stack, strength
+from .arguments import CommandError
+
+LOG = logging.getLogger("jaxblur")
+
+DEEP_LAYERS = 2
+"""Layers of a deep file, by default."""
+ALPHA_BEYOND = 0.1
+"""How far alpha may lie outside 0..1, as in `jaxblur.blur_layers`."""
+
+
+def read(arguments: argparse.Namespace) -> tuple[tuple[stack.ReadLayer, ...], str, bool]:
+    """Read the layers of a frame.
+
+    Args:
+        arguments: of ``jaxblur layers``, with the files of the frame.
+
+    Returns:
+        The layers, the front one first; how their motion was changed, in words; and whether
+        ``--scale-motion`` is for any pixel of one, see `strength.Changed`.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else, or a layer has no alpha.
+    """
+    layers, motions, selections = [], [], []
+    for number, place in enumerate(arguments.stack):
+        last = number == len(arguments.stack) - 1 and number > 0
+        found, motion, selects = _read_place(arguments, number, place, last)
+        layers += found
+        selections.append(selects)
+        motions += [f"{found[0].name}: {motion}"] if motion else []
+    _check_alike(layers)
+    return tuple(layers), "; ".join(motions), any(selections)
+
+
+def _read_place(
+    arguments: argparse.Namespace, number: int, place: stack.LayerPlace, last: bool
+) -> tuple[list[stack.ReadLayer], str, bool]:
+    """One layer of the command line, how its motion was changed, and whether any pixel's was."""
+    from jaxblur import exr
+
+    here = stack.each(arguments)[number]
+    path = here.input
+    LOG.info("layer %d: %s", number + 1, arguments.layers[number].text)
+    info, motion, selects = exr.inspect(path), "", False
+    if exr.is_deep(info):
+        found, selects = _read_deep(here)
+        return (
+            [stack.ReadLayer(path, place.layer, buffers, place.holdout, None) for buffers in found],
+            "",
+            selects,
+        )
+    try:
+        buffers = _read_still(here) if place.still else sources.read(here)
+    except exr.JaxblurIOError as error:
+        raise _explained(error, number, place) from error
+    buffers = _with_alpha(path, place, buffers, last)
+    if not place.still:
+        buffers, motion, selects = strength.apply(here, buffers)
+    return [stack.ReadLayer(path, place.layer, buffers, place.holdout, number)], motion, selects
+
+
+def _read_deep(arguments: argparse.Namespace) -> tuple[tuple[Any, ...], bool]:
+    """The layers of a deep file, and whether the motion of any was changed."""
+    from jaxblur import exr
+
+    path, count = arguments.input, arguments.deep_layers or DEEP_LAYERS
+    if arguments.sky == "camera":
+        raise CommandError(f"--sky camera: {path} is deep; leave it out, or flatten the file.")
+    if strength.passes_of(arguments):
+        raise CommandError(
+            f"{path}: color passes of deep files are not read; leave out --also and --all-color."
+        )
+    found = exr.read_deep_layers(
+        path,
+        count,
+        arguments.preset,
+        arguments.shutter,
+        depth=arguments.depth,
+        file_shutter=arguments.file_shutter,
+        max_displace=arguments.max_displace,
+        layer=arguments.layer,
+        velocity_channels=arguments.velocity_channels,
+        depth_channel=arguments.depth_channel,
+    )
+    # Deep layers are read already, so that their motion is changed one by one.
+    changed = [strength.apply(arguments, buffers) for buffers in found]
+    given = "" if arguments.deep_layers else "; --deep-layers K asks for another number"
+    LOG.info("%s: deep, flattened into %d layers%s", path, len(found), given)
+    return tuple(one.buffers for one in changed), any(one.selects for one in changed)
+
+
+def _read_still(arguments: argparse.Namespace) -> Any:
+    """A layer without motion, whose depth does not matter."""
+    import numpy as np
+
+    from jaxblur import exr, vectors
+
+    info = exr.inspect(arguments.input)
+    group = exr.choose_color(info, arguments.layer)
+    color = exr.read_image(arguments.input, arguments.layer)
+    passes = exr.choose_passes(info, group, strength.passes_of(arguments), arguments.layer)
+    values = exr.read_channels(arguments.input, passes) if passes else None
+    LOG.info("color: %s, at rest", ", ".join(group.channels))
+    size = color.shape[:2]
+    preset = vectors.PRESETS["jaxblur"]
+    guess = vectors.Guess(preset, preset.layouts[-1], (), "at rest")
+    still = np.zeros((*size, 2), np.float32)
+    return exr.Buffers(
+        *(color, np.ones(size, np.float32), still, None, group.channels, None, "flat", guess),
+        pass_channels=passes,
+        pass_colors=values,
+    )
+
+
+def with_remedies(error: Any) -> Any:
+    """A `jaxblur.exr.JaxblurIOError` with the remedies of this command.
+
+    Args:
+        error: it, whose remedies are options of ``jaxblur blur``.
+    """
+    reason = error.reason.replace(
+        "choose with `layer` or `color_channels`", "choose one as FILE:LAYER"
+    )
+    return type(error)(
+        error.path, reason.replace("`depth_channel` or `depth_from`", "`depth_channel`")
+    )
+
+
+def _explained(error: Any, number: int, place: stack.LayerPlace) -> Any:
+    """An error of reading a frame with the remedies of this command."""
+    from jaxblur.exr import JaxblurIOError
+
+    if "vectors" not in error.reason:
+        return with_remedies(error)
+    name, prefix = f"layer {number + 1}", f"{place.layer}." if place.layer else ""
+    if place.layer:
+        name += f" ({place.layer})"
+    return JaxblurIOError(
+        error.path,
+        f"{name} has no motion vectors that are recognized; render {prefix}velocity.X and .Y or "
+        f"name the channels (--preset, --velocity-channels), or pass --still {number + 1} if "
+        "nothing moves in it.",
+    )
+
+
+def _with_alpha(path: pathlib.Path, place: stack.LayerPlace, buffers: Any, last: bool) -> Any:
+    """The buffers with an alpha that can be one, the last channel; the last layer may be opaque."""
+    import numpy as np
+
+    from jaxblur import exr
+
+    color, names = buffers.color, buffers.color_channels
+    what = f"layer {place.layer}: " if place.layer else ""
+    position = next((k for k, name in enumerate(names) if _is_alpha(name)), None)
+    if position is None:
+        if not last:
+            raise exr.JaxblurIOError(
+                path,
+                f"{what}{', '.join(names)}: no alpha (A), which every layer but the last needs; "
+                "render it with alpha, or put it behind the others.",
+            )
+        alpha = np.ones((*color.shape[:2], 1), np.float32)
+        if buffers.valid is not None:
+            alpha[~buffers.valid] = 0
+        color = np.concatenate([color, alpha], axis=-1)
+        return dataclasses.replace(buffers, color=color, color_channels=(*names, "A"))
+    alpha = color[..., position]
+    if alpha.min() < -ALPHA_BEYOND or alpha.max() > 1 + ALPHA_BEYOND:
+        raise exr.JaxblurIOError(
+            path,
+            f"{what}{names[position]}: alpha from {alpha.min():g} to {alpha.max():g}, not within "
+            "0..1; render it again, or leave the channel out.",
+        )
+    return buffers
+
+
+def _is_alpha(channel: str) -> bool:
+    return channel.rpartition(".")[2].upper() in ("A", "ALPHA")
+
+
+def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
+    """Reject layers whose windows or channels differ."""
+    from jaxblur import exr
+
+    first = layers[0]
+    window = stack.window_of(first)
+    for layer in layers[1:]:
+        if (other := stack.window_of(layer)) != window:
+            raise exr.JaxblurIOError(
+                layer.path,
+                f"{layer.name} has the data window {_words(other)}, but {first.name} "
+                f"{_words(window)}; give both the same, as oiiotool IN --croptofull -o OUT does.",
+            )
+        count, expected = layer.buffers.color.shape[-1], first.buffers.color.shape[-1]
+        if count != expected:
+            raise exr.JaxblurIOError(
+                layer.path,
+                f"{layer.name} has {count} color channels with alpha, but {first.name} has "
+                f"{expected}; render both in color, or both in gray.",
+            )
+    names = {layer.name: set(map(stack.pass_name, layer.buffers.pass_channels)) for layer in layers}
+    for layer in layers:
+        if lacking := sorted(set().union(*names.values()) - names[layer.name]):
+            raise exr.JaxblurIOError(
+                layer.path,
+                f"{layer.name} has no pass {lacking[0].partition('.')[0]}, which other layers have "
+                "and which would not add up without it; render it, or name with --also what all "
+                "have.",
+            )
+
+
+def _words(window: tuple[int, int, int, int]) -> str:
+    x, y, width, height = window
+    return f"{width}x{height} at ({x}, {y})"

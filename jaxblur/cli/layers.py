@@ -1,0 +1,161 @@
+"""``jaxblur layers``: layers of a frame in, one blurred frame out."""
+
+import argparse
+from typing import Any
+
+from . import blur, isolation, layer_reading, sequence, stack, stages, strength
+from .arguments import (
+    PNG_TRANSFORM,
+    CommandError,
+    add_command,
+    add_compute_options,
+    describe_presets,
+    file_path,
+    positive_integer,
+)
+from .filtering import (
+    add_filter_options,
+    add_nonfinite_option,
+    add_quality_option,
+    add_seed_option,
+    complete,
+    describe_filters,
+)
+from .shutter import add_shutter_options, settle
+from .sources import add_depth_options, add_vector_options
+
+FILTER = "layered"
+EXPLANATION = """\
+Each layer is FILE, or FILE:LAYER for a part, a view layer or a layer by name: hero.exr
+shot.exr:street. Names of a sequence, hero.####.exr, give a layer for each frame; a file without a
+frame number is the same in all frames. Every layer has color with alpha, depth and vectors; the
+last of several may be without alpha, and is opaque then, as a clean plate is. Deep files become
+several layers. The result is the color of all of them, over nothing, with the metadata of the
+front one.
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "layers", "Blur layers together, front to back, into one frame.", run
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.more_help = lambda: f"{EXPLANATION}\n{describe_filters(FILTER)}\n\n{describe_presets()}"
+    parser.add_argument(
+        "layers",
+        type=stack.layer_name,
+        nargs="+",
+        metavar="FILE[:LAYER]",
+        help="from the front to the back; see below",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=file_path,
+        required=True,
+        metavar="OUT",
+        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
+    )
+    existing = parser.add_mutually_exclusive_group()
+    existing.add_argument("--overwrite", action="store_true", help="replace existing outputs")
+    sequence.add_options(parser, existing)
+    parser.add_argument("--png", action="store_true", help="write OUT.png beside OUT.exr too")
+    strength.add_pass_options(parser)
+    parser.add_argument(
+        "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
+    )
+    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+    _add_stack_options(parser)
+    blur.add_color_options(parser)
+    add_compute_options(parser)
+    group = add_filter_options(parser, FILTER, alone=True)
+    add_quality_option(group)
+    add_seed_option(group)
+    add_vector_options(parser, layer=False)
+    add_shutter_options(parser)
+    parser.add_argument(
+        "--require-motion",
+        action="store_true",
+        help="fail, rather than warn, if the vectors move nothing by half a pixel",
+    )
+    strength.add_options(parser)
+    add_nonfinite_option(add_depth_options(parser))
+    isolation.add_options(parser, memory=16384, seconds=24 * 3600)
+    # What `blur` has besides.
+    nothing = ("velocity_from", "depth_from", "color_channels", "layer", "subframes", "result")
+    more = ("plan", "tolerance", "budget", "parameters")
+    parser.set_defaults(**dict.fromkeys((*nothing, *more)), drop_extra=True, stack=())
+
+
+def _add_stack_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("layers")
+    group.add_argument(
+        "--holdout",
+        action="append",
+        default=[],
+        metavar="NAME|N",
+        help="this layer hides what is behind it and is not seen, so that the result is "
+        "transparent there; repeat for several",
+    )
+    group.add_argument(
+        "--still",
+        action="append",
+        default=[],
+        metavar="NAME|N",
+        help="nothing moves in this layer, which needs neither vectors nor depth; repeat for "
+        "several",
+    )
+    group.add_argument(
+        "--deep-layers",
+        type=positive_integer,
+        metavar="K",
+        help="most layers that a deep file is flattened into, divided where things pass each other "
+        f"(default {layer_reading.DEEP_LAYERS})",
+    )
+    for side in ("before", "after"):
+        group.add_argument(
+            f"--{side}",
+            type=stack.layer_name,
+            nargs="+",
+            metavar="FILE",
+            help=f"the files of the frame {side}, one for each layer, which show some of what the "
+            "layers hide; for a single frame (a sequence uses its frames by itself)",
+        )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Blur the layers of one frame, or of a sequence; see `add_parser`."""
+    if arguments.isolate and not isolation.in_child:
+        arguments.input = arguments.layers[0].path
+        return isolation.run(arguments)
+    settle(arguments)
+    arguments.stack = stack.places_of(arguments)
+    arguments.layer = next(p.layer for p in arguments.stack if p.role == "input")
+    _check(arguments)
+    blur.check_motion(arguments)
+    blur.check_colors(arguments)
+    strength.check(arguments)
+    asked = stages.Choice(*complete(arguments))
+    if sequence.is_asked_for(arguments):
+        return sequence.run(arguments, asked)
+    sequence.refuse_options(arguments)
+    from jaxblur.exr import JaxblurIOError
+
+    try:
+        return blur.run_single(arguments, asked)
+    except JaxblurIOError as error:
+        raise layer_reading.with_remedies(error) from error
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Reject what layers do not have, before any work."""
+    for side in ("before", "after"):
+        given = getattr(arguments, side)
+        if given is not None and len(given) != len(arguments.stack):
+            raise CommandError(
+                f"--{side}: needs one file for each layer, {len(arguments.stack)}, in their "
+                f"order; got {len(given)}."
+            )
+    if all(place.holdout for place in arguments.stack):
+        raise CommandError("--holdout: nothing is left to be seen; leave it out for one layer.")
