@@ -1,0 +1,2 @@
+from .fxaa import FXAAParameters as FXAAParameters, fxaa as fxaa
+from .luma import perceived_luma as perceived_luma
