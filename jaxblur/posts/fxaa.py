@@ -126,7 +126,7 @@ def find_edge(at: At, images: Lumas, parameters: FXAAParameters, quality: int) -
     side = jnp.where(steps[0] >= steps[1], -1, 1)
     opposite = jnp.where(steps[0] >= steps[1], before, after)
     level = (opposite + luma.center) / 2
-    enough = jnp.maximum(*steps) / 4
+    enough = jnp.maximum(steps[0], steps[1]) / 4
     down, across = jnp.where(horizontal, side, 0), jnp.where(horizontal, 0, side)
 
     def on_edge(distance: Array, sign: int) -> Array:
@@ -165,11 +165,11 @@ def find_edge(at: At, images: Lumas, parameters: FXAAParameters, quality: int) -
     good = (end < 0) != (luma.center < level)
     length = jnp.maximum(first + second, 1)
     share = jnp.where(good, 0.5 - nearer / length, 0)
-    place = (part.astype(share.dtype) for part in (down, across))
-    return Outcome(Edge(*place, share), where=is_edge, otherwise=Edge(zero, zero, zero))
+    edge = Edge(down.astype(share.dtype), across.astype(share.dtype), share)
+    return Outcome(edge, where=is_edge, otherwise=Edge(zero, zero, zero))
 
 
-def blend_pixel(at: At, images: Images, parameters: FXAAParameters, _: None) -> Outcome:
+def blend_pixel(at: At, images: Images, parameters: FXAAParameters, settings: None) -> Outcome:
     """Pass 2: mix the pixel and its neighbor on the other side of the edge."""
     edge = Edge(*images.edge.here())
     is_edge = jnp.abs(edge.down) + jnp.abs(edge.across) > 0
@@ -242,7 +242,7 @@ def _fxaa(
     quality: int,
     backend: Backend,
 ) -> jax.Array:
-    size = color.shape[:2]
+    size = color.shape[0], color.shape[1]
     parameters = jax.tree.map(lambda p: jnp.asarray(p, color.dtype), parameters)
     luma = perceived_luma(color if hint is None else hint)
     held, still = lax.stop_gradient((luma, parameters))

@@ -3,6 +3,7 @@
 Nothing is shared with jaxblur, not even constants: what both get wrong, no test would see.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -85,4 +86,72 @@ def fxaa(image, hint=None, subpixel=0.75, threshold=0.166, threshold_min=0.0833,
         offset = max(offset, subpixel * (lone * lone * (3 - 2 * lone)) ** 2)
         other = clamped(image, y + side, x) if horizontal else clamped(image, y, x + side)
         out[y, x] = image[y, x] + offset * (other - image[y, x])
+    return out
+
+
+def polyline_area(points, start, end):
+    """Areas above and below zero under a line through points, between two places."""
+    places = sorted({start, end, *(x for x, _ in points if start < x < end)})
+    above = below = 0.0
+    for left, right in itertools.pairwise(places):
+        heights = [np.interp(x, *zip(*points, strict=True)) for x in (left, right)]
+        cuts = [(left, heights[0]), (right, heights[1])]
+        if heights[0] * heights[1] < 0:
+            cuts.insert(1, (left + (right - left) * heights[0] / (heights[0] - heights[1]), 0.0))
+        for (x0, y0), (x1, y1) in itertools.pairwise(cuts):
+            area = (x1 - x0) * (y0 + y1) / 2
+            above, below = above + max(area, 0), below + max(-area, 0)
+    return above, below
+
+
+def mlaa_edges(image, threshold=0.1):
+    """Edges at the top and at the left of each pixel."""
+    luma = luma_of(image)
+    top, left = np.zeros(luma.shape, bool), np.zeros(luma.shape, bool)
+    top[1:] = np.abs(np.diff(luma, axis=0)) >= threshold
+    left[:, 1:] = np.abs(np.diff(luma, axis=1)) >= threshold
+    return top, left
+
+
+def mlaa_shares(lines, crossings, search):
+    """Shares above and below each edge of `lines`, which run along rows."""
+    height, width = lines.shape
+    crossing = np.zeros((height + 1, width + 1), bool)
+    crossing[1:, :width] = crossings
+    above, below = np.zeros(lines.shape), np.zeros(lines.shape)
+    for y, x in zip(*np.nonzero(lines), strict=True):
+        left = right = 0
+        while left < search and x - left - 1 >= 0 and lines[y, x - left - 1]:
+            left += 1
+        while right < search and x + right + 1 < width and lines[y, x + right + 1]:
+            right += 1
+        heights = []
+        for place in (x - left, x + right + 1):
+            # Row y of `crossing` is the row above the line.
+            up, down = crossing[y, place], crossing[y + 1, place]
+            heights.append(0.0 if up == down else 0.5 if up else -0.5)
+        length = left + right + 1
+        points = [(0.0, heights[0]), (length / 2, 0.0), (float(length), heights[1])]
+        above[y, x], below[y, x] = polyline_area(points, float(left), left + 1.0)
+    return above, below
+
+
+def mlaa(image, threshold=0.1, search=12, edges=None):
+    image = np.asarray(image, float)
+    top, left = mlaa_edges(image, threshold) if edges is None else edges
+    above, below = mlaa_shares(top, left, search)
+    before, after = (share.T for share in mlaa_shares(left.T, top.T, search))
+    height, width = top.shape
+    out = image.copy()
+    for y, x in np.ndindex(top.shape):
+        mixes = [(below[y, x], y - 1, x), (after[y, x], y, x - 1)]
+        if y + 1 < height:
+            mixes.append((above[y + 1, x], y + 1, x))
+        if x + 1 < width:
+            mixes.append((before[y, x + 1], y, x + 1))
+        mixes = [(share, image[i, j]) for share, i, j in mixes if share > 0]
+        if mixes:
+            total = sum(share for share, _ in mixes)
+            own = image[y, x]
+            out[y, x] = sum(a * ((1 - a) * own + a * other) for a, other in mixes) / total
     return out
