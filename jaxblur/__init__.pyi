@@ -4,6 +4,7 @@ from . import (
     fitting as fitting,
     kernels as kernels,
     metrics as metrics,
+    posts as posts,
     scenes as scenes,
     show as show,
     vectors as vectors,

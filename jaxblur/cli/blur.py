@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, results, sequence, stages, strength
+from . import isolation, posts, results, sequence, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -98,6 +98,7 @@ def add_parser(commands: Any) -> None:
         help="fail, rather than warn, if the vectors move nothing by half a pixel",
     )
     strength.add_options(parser)
+    posts.add_options(parser, "--then")
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 
@@ -177,6 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check_motion(arguments)
     _check_colors(arguments)
     strength.check(arguments)
+    posts.check(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
@@ -209,6 +211,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
+    blurred = stages.after_blur(arguments, loaded, blurred)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)

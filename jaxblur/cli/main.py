@@ -13,13 +13,13 @@ from typing import Any
 import jaxblur
 from jaxblur._util.text import one_line, printable
 
-from . import bench, blur, demo, fit, info, report, scene, shutter, vectors
+from . import bench, blur, demo, fit, info, post, report, scene, shutter, vectors
 from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, fit, info, vectors, report, demo, scene, bench)
+COMMANDS = (blur, post, fit, info, vectors, report, demo, scene, bench)
 
 USAGE = 2
 INTERRUPTED = 130

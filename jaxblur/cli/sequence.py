@@ -262,6 +262,7 @@ class FrameWork:
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
                 blurred = stages.blur(chosen, loaded, self._at(job).seed)
+                blurred = stages.after_blur(self.arguments, loaded, blurred)
             return loaded.without_neighbor_pixels(), chosen, blurred
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:

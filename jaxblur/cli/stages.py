@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jaxblur
 from jaxblur.settings import Settings
 
-from . import sources, strength
+from . import posts, sources, strength
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter, takes_neighbors
 from .shutter import Exposure
@@ -297,6 +297,25 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
 
 
+def after_blur(arguments: argparse.Namespace, loaded: Loaded, image: Any) -> Any:
+    """Run the posts that the arguments name on a blurred frame.
+
+    Args:
+        arguments: of the command.
+        loaded: the frame.
+        image: (H, W, C) NumPy array, blurred.
+
+    Returns:
+        (H, W, C) NumPy array.
+
+    Raises:
+        CommandError: a post needs depth, and the frame has none.
+    """
+    buffers = loaded.buffers
+    depth = None if buffers.depth_channel is None else buffers.depth
+    return posts.apply(arguments, image, depth, buffers.color.shape[2])
+
+
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
     """Score images in the colors of a frame against its truth, as a screen shows them.
 
@@ -422,6 +441,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         BLURRED: ", ".join(sorted(now | _blurred_before(arguments.input).keys())),
         **({NEIGHBORS: neighbors} if neighbors else {}),
         **({MOTION: loaded.motion} if loaded.motion else {}),
+        **posts.notes(arguments),
     }
 
 

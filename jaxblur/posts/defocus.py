@@ -160,7 +160,7 @@ def gather(at: At, images: Images, lens: Scalars, settings: Settings) -> Outcome
 
     sums = Sums(*sum_over(settings.samples, sample))
     # A pixel without a known color counts only where no other does.
-    center = jnp.where(own.valid > 0, 1, 1e-6)
+    center = jnp.where(own.valid > 0, 1, 1e-12)
     weight = sums.weight + center
     coverage = jnp.minimum(sums.coverage, 1)
     scale = jnp.where(sums.coverage > 0, coverage / jnp.maximum(sums.coverage, 1e-9), 0)
@@ -279,7 +279,7 @@ def _defocus(
     dtype = frame.color.dtype
     height, width = frame.depth.shape
     lens = jax.tree.map(lambda value: jnp.asarray(value, dtype), lens)
-    scalars = Scalars(lens.radius_at_infinity(width), lens.focus, extent.astype(dtype))
+    scalars = Scalars(lens.radius_at_infinity(width), jnp.asarray(lens.focus), extent.astype(dtype))
     run = functools.partial(
         each_pixel, size=(height, width), parameters=scalars, settings=settings, backend=backend
     )

@@ -155,3 +155,53 @@ def mlaa(image, threshold=0.1, search=12, edges=None):
             own = image[y, x]
             out[y, x] = sum(a * ((1 - a) * own + a * other) for a, other in mixes) / total
     return out
+
+
+def defocus(color, depth, disc, tap, samples, radius, extent):
+    """Two layers of a gather; `disc` is the signed radius of each pixel's disc."""
+    color, depth, tap = (np.asarray(values, float) for values in (color, depth, tap))
+    disc = np.clip(disc, -radius, radius)
+    height, width = depth.shape
+    out = color.copy()
+
+    def inside(away, size):
+        return min(max(size - away + 0.5, 0.0), 1.0)
+
+    for y, x in np.ndindex(depth.shape):
+        tile_row, tile_column = y // radius, x // radius
+        rows = slice(max(tile_row - 1, 0) * radius, (tile_row + 2) * radius)
+        columns = slice(max(tile_column - 1, 0) * radius, (tile_column + 2) * radius)
+        near, own = max(0.0, np.max(-disc[rows, columns])), abs(disc[y, x])
+        if max(near, own) <= 0.5:
+            continue
+        first = 0 if near <= 0.5 else samples // 2 if own > 0.5 else samples
+        front, back = np.zeros(color.shape[2]), color[y, x].copy()
+        coverage, weight = 0.0, 1.0
+        for i in range(samples):
+            in_own = i >= first
+            number, count = (i - first, samples - first) if in_own else (i, first)
+            size = (own if in_own else near) + 0.5
+            angle = i * math.pi * (3 - math.sqrt(5)) + math.pi * tap[y, x]
+            distance = size * math.sqrt((number + 0.5) / count)
+            right = math.floor(distance * math.cos(angle) + 0.5)
+            down = math.floor(distance * math.sin(angle) + 0.5)
+            row, column = y + down, x + right
+            if right == down == 0 or not (0 <= row < height and 0 <= column < width):
+                continue
+            away, area = math.hypot(right, down), math.pi * size**2 / count
+            nearer = 1 / depth[row, column] - 1 / depth[y, x]
+            largest = max(1 / depth[row, column], 1 / depth[y, x])
+            nearer = min(max(nearer / largest / extent, 0.0), 1.0) if largest > 0 else 0.0
+            if in_own == (disc[row, column] >= 0):
+                other = abs(disc[row, column])
+                light = nearer * area * inside(away, other)
+                light /= max(math.pi * (other**2 + 1 / 12), 1.0)
+                front, coverage = front + light * color[row, column], coverage + light
+            if in_own:
+                share = (1 - nearer) * area * inside(away, own)
+                back, weight = back + share * color[row, column], weight + share
+        covered = min(coverage, 1.0)
+        out[y, x] = (1 - covered) * back / weight
+        if coverage > 0:
+            out[y, x] += covered * front / coverage
+    return out
