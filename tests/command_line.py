@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jaxblur.cli import main
 
-COMPUTING = ("blur", "demo", "fit", "scene")
+COMPUTING = ("blur", "demo", "fit", "post", "scene")
 
 
 class Outcome(NamedTuple):

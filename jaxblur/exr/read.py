@@ -274,7 +274,7 @@ def read_depth(
     if depth not in kinds:
         raise ValueError(f"`depth` must be one of {', '.join(kinds)}; got {depth!r}.")
     info = inspect(path)
-    channel = choose_depth(info, layer, depth_channel, "", ())
+    channel = choose_depth(info, layer, depth_channel, needed=True)
     raw = read_channels(info.path, [channel])[..., 0]
     warn_lossy(info, info.channel(channel))
     without_depth(info.path, channel, -raw if depth.startswith("-") else raw, "error")
