@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from jaxblur import Frame, exr, posts
+from jaxblur import Frame, GuertinParameters, GuertinSettings, exr, luma_hint, posts
+from jaxblur.noise import make_noise
 from jaxblur.posts import Lens
 from tests.command_line import refused, run
 from tests.exr_files import plain_frame, write_single
@@ -82,6 +83,23 @@ def test_a_sequence(tmp_path):
         *("--then", "mlaa"),
     )
     assert notes(tmp_path / "b.0002.exr")["jaxblur:then"] == "mlaa"
+
+
+def test_the_hint_is_that_of_the_filter(source, tmp_path):
+    blurred, out = tmp_path / "blurred.exr", tmp_path / "out.exr"
+    options = ("--preset", "jaxblur", "--filter", "guertin2014", "--radius", "8", "--seed", "3")
+    done("blur", source, "-o", blurred, *options)
+    done("blur", source, "-o", out, *options, "--then", "fxaa-hint")
+    frame = exr.read_frame(source, preset="jaxblur")
+    settings, noise = GuertinSettings(radius=8), make_noise("ign", *SIZE, 3)
+    hint = luma_hint(frame, GuertinParameters(), settings=settings, noise=noise)
+    assert set(np.unique(hint)) == {0, 1}
+    expected = posts.fxaa(exr.read_image(blurred), hint)
+    np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
+    error = refused("blur", source, "-o", tmp_path / "o.exr", *BLUR, "--then", "fxaa-hint")
+    assert "pixel_velocity gives no hint" in error
+    error = refused("post", source, "-o", tmp_path / "o.exr", "--do", "fxaa-hint")
+    assert "jaxblur blur --filter guertin2014" in error
 
 
 @pytest.mark.parametrize(

@@ -211,7 +211,7 @@ def _run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
 
     start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
-    blurred = stages.after_blur(arguments, loaded, blurred)
+    blurred = stages.after_blur(arguments, chosen, loaded, blurred, arguments.seed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)

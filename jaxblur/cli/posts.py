@@ -15,11 +15,17 @@ LOG = logging.getLogger("jaxblur")
 POSTS = {
     "defocus": "blur what a lens has out of focus; needs depth and --focus",
     "fxaa": "FXAA 3.11, edges by luma",
+    "fxaa-hint": "the same over everything that guertin2014 blurs, which smooths its noise",
     "mlaa": "morphological antialiasing, edges by luma",
     "mlaa-depth": "the same with edges by depth: outlines of objects alone",
 }
 """Posts by name, and what they do."""
 NEEDS_DEPTH = {"defocus", "mlaa-depth"}
+NEEDS_EDGES = {"fxaa", "mlaa"}
+"""Those that find edges in the picture itself."""
+HINTED = "fxaa-hint"
+HINTING = "guertin2014"
+"""The filter that gives a hint."""
 RADII = (4, 8, 16, 32, 64, 128, 256)
 """Largest discs in pixels; each costs a compilation."""
 THEN = "jaxblur:then"
@@ -99,6 +105,11 @@ def check(arguments: argparse.Namespace) -> None:
         CommandError: an option is left over, missing or out of range.
     """
     option = arguments.posts_option
+    if HINTED in arguments.posts and option == "--do":
+        raise CommandError(
+            f"{option} {HINTED}: only what {HINTING} blurs has a hint; pass `jaxblur blur "
+            f"--filter {HINTING} --then {HINTED}`, or {option} fxaa."
+        )
     if "defocus" not in arguments.posts:
         for name in _LENS_OPTIONS:
             if getattr(arguments, name) is not None:
@@ -134,7 +145,9 @@ def needs_depth(arguments: argparse.Namespace) -> bool:
     return not NEEDS_DEPTH.isdisjoint(arguments.posts)
 
 
-def apply(arguments: argparse.Namespace, image: Any, depth: Any, picture: int) -> Any:
+def apply(
+    arguments: argparse.Namespace, image: Any, depth: Any, picture: int, hint: Any = None
+) -> Any:
     """Run the posts on an image.
 
     Args:
@@ -143,6 +156,7 @@ def apply(arguments: argparse.Namespace, image: Any, depth: Any, picture: int) -
             by the same weights.
         depth: (H, W), or None where no post looks at it.
         picture: channels of the picture.
+        hint: function that gives (H, W) luma for `HINTED`; None where nothing was blurred.
 
     Returns:
         (H, W, C) NumPy array; the image itself without posts.
@@ -158,7 +172,7 @@ def apply(arguments: argparse.Namespace, image: Any, depth: Any, picture: int) -
     from jaxblur.frame import Frame
 
     option, shape = arguments.posts_option, image.shape
-    if shape[2] > picture and picture < 3 and set(arguments.posts) - {"defocus", "mlaa-depth"}:
+    if shape[2] > picture and picture < 3 and not NEEDS_EDGES.isdisjoint(arguments.posts):
         raise CommandError(f"{option}: edges are found in red, green and blue; leave out --passes.")
     if needs_depth(arguments) and depth is None:
         raise CommandError(
@@ -175,11 +189,20 @@ def apply(arguments: argparse.Namespace, image: Any, depth: Any, picture: int) -
             color = _defocused(arguments, frame)
         elif name == "fxaa":
             color = posts.fxaa(color)
+        elif name == HINTED:
+            color = posts.fxaa(color, hint())
         elif name == "mlaa":
             color = posts.mlaa(color)
         else:
             color = posts.mlaa(color, frame, "depth")
     return np.asarray(color)
+
+
+def linear_luma(image: Any) -> Any:
+    """Luma of Rec. 709 of (H, W, C) linear light, or its first channel."""
+    if image.shape[2] < 3:
+        return image[..., 0]
+    return 0.2126 * image[..., 0] + 0.7152 * image[..., 1] + 0.0722 * image[..., 2]
 
 
 def _defocused(arguments: argparse.Namespace, frame: Any) -> Any:

@@ -261,8 +261,9 @@ class FrameWork:
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
-                blurred = stages.blur(chosen, loaded, self._at(job).seed)
-                blurred = stages.after_blur(self.arguments, loaded, blurred)
+                seed = self._at(job).seed
+                blurred = stages.blur(chosen, loaded, seed)
+                blurred = stages.after_blur(self.arguments, chosen, loaded, blurred, seed)
             return loaded.without_neighbor_pixels(), chosen, blurred
 
     def write(self, job: Any, made: tuple[stages.Loaded, stages.Choice, Any]) -> dict[str, Any]:

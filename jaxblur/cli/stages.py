@@ -297,23 +297,43 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
 
 
-def after_blur(arguments: argparse.Namespace, loaded: Loaded, image: Any) -> Any:
+def after_blur(
+    arguments: argparse.Namespace, chosen: Choice, loaded: Loaded, image: Any, seed: int | None
+) -> Any:
     """Run the posts that the arguments name on a blurred frame.
 
     Args:
         arguments: of the command.
+        chosen: what has blurred it.
         loaded: the frame.
         image: (H, W, C) NumPy array, blurred.
+        seed: as `blur` was given it.
 
     Returns:
         (H, W, C) NumPy array.
 
     Raises:
-        CommandError: a post needs depth, and the frame has none.
+        CommandError: a post needs depth, and the frame has none; or the hint of another filter.
     """
     buffers = loaded.buffers
     depth = None if buffers.depth_channel is None else buffers.depth
-    return posts.apply(arguments, image, depth, buffers.color.shape[2])
+
+    def hint() -> Any:
+        if chosen.name == PASSED_THROUGH:
+            # What is not blurred has the luma of its picture.
+            return posts.linear_luma(image[..., : buffers.color.shape[2]])
+        if chosen.name != posts.HINTING:
+            raise CommandError(
+                f"--then {posts.HINTED}: {chosen.name} gives no hint; pass --filter "
+                f"{posts.HINTING}, or --then fxaa."
+            )
+        from jaxblur.filters.guertin2014 import luma_hint
+
+        return apply_filter(
+            chosen.name, buffers, chosen.parameters, chosen.settings, seed, call=luma_hint
+        )
+
+    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint)
 
 
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
