@@ -223,3 +223,40 @@ def test_refusals():
         scenes.ThinLens(-1, 3)
     with pytest.raises(ValueError, match="`focus` must be"):
         scenes.ThinLens(1, 0)
+
+
+def test_jit_and_vmap_equal_plain_calls():
+    frames = [random_frame((9, 12), seed) for seed in range(2)]
+    lens = jax.tree.map(float, spreading(4.0, width=12))
+    alone = [defocus(frame, lens) for frame in frames]
+    together = jax.vmap(defocus, (0, None))(jax.tree.map(lambda *x: jnp.stack(x), *frames), lens)
+    np.testing.assert_allclose(together, jnp.stack(alone), atol=1e-6)
+    np.testing.assert_allclose(jax.jit(defocus)(frames[0], lens), alone[0], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_focus_and_aperture_are_found_in_a_picture_of_the_truth(wheels):
+    """Descent on the logarithms of focus and f-number, from wrong ones."""
+    scene, frame = wheels
+    focal = float(scene.world.camera.focal)
+    true = Lens.of_aperture(1.0, 7.5, focal)
+    truth = scenes.accumulate(scene, 0, 0, 256, SIZE, lens=scenes.ThinLens(1.0, 7.5))
+
+    @jax.jit
+    def step(logs):
+        def loss(logs):
+            lens = dataclasses.replace(true, focus=jnp.exp(logs[0]), f_number=jnp.exp(logs[1]))
+            return jnp.mean((defocus(frame, lens, samples=128, radius=16) - truth) ** 2)
+
+        return jax.value_and_grad(loss)(logs)
+
+    logs = jnp.log(jnp.array([6.0, 1.5 * true.f_number]))
+    momentum = scale = jnp.zeros(2)
+    for k in range(1, 61):
+        _, slope = step(logs)
+        momentum, scale = 0.8 * momentum + 0.2 * slope, 0.95 * scale + 0.05 * slope**2
+        rate = 0.04 * 0.96**k
+        logs -= rate * momentum / (1 - 0.8**k) / (jnp.sqrt(scale / (1 - 0.95**k)) + 1e-12)
+    found = jnp.exp(logs)
+    assert float(found[0]) == pytest.approx(7.5, rel=0.05)
+    assert float(found[1]) == pytest.approx(true.f_number, rel=0.1)

@@ -19,7 +19,7 @@ from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
-COMMANDS = (blur, post, fit, info, vectors, report, demo, scene, bench)
+COMMANDS = (blur, fit, post, info, vectors, report, demo, scene, bench)
 
 USAGE = 2
 INTERRUPTED = 130
