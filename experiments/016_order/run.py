@@ -22,7 +22,7 @@ from jaxblur.filters import filter_info
 
 SIZE = (180, 320)
 SHUTTER = 1.0
-SAMPLES = 512
+SAMPLES = 128
 DISC = 7.0
 """Radius in pixels of the largest discs (of 2 % of the pixels)."""
 FILTERS = ("layered", "guertin2014")
@@ -110,6 +110,7 @@ def main() -> None:
             for order, image in made.items():
                 score = metrics.compare(metrics.rgb(image), metrics.rgb(truth))
                 rows.append((case.scene, name, order, *(float(value) for value in score)))
+                print(*rows[-1], flush=True)
             if case == CASES[0] and name == FILTERS[0]:
                 orders = ("blur, then defocus", "defocus, then blur")
                 sheet = [
