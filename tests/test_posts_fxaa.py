@@ -53,9 +53,9 @@ def test_long_edges_equal_the_plain_loops(quality, transposed):
 
 def test_thresholds_and_strength_equal_the_plain_loops():
     image = np.random.default_rng(5).random((15, 22, 3)).astype(np.float32)
-    given = {"subpixel": 0.3, "threshold": 0.3, "threshold_min": 0.2}
-    expected = posts_loops.fxaa(image, **given)
-    np.testing.assert_allclose(fxaa(image, parameters=FXAAParameters(**given)), expected, atol=1e-5)
+    parameters = FXAAParameters(subpixel=0.3, threshold=0.3, threshold_min=0.2)
+    expected = posts_loops.fxaa(image, subpixel=0.3, threshold=0.3, threshold_min=0.2)
+    np.testing.assert_allclose(fxaa(image, parameters=parameters), expected, atol=1e-5)
 
 
 def test_a_slanted_edge_comes_near_its_coverage():
