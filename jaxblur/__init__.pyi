@@ -5,6 +5,7 @@ from . import (
     kernels as kernels,
     metrics as metrics,
     perception as perception,
+    posts as posts,
     scenes as scenes,
     show as show,
     vectors as vectors,

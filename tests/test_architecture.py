@@ -15,7 +15,7 @@ FRAMES = {
     *("camera", "frame", "noise", "nonfinite", "safe_math", "settings", "shutter", "srgb"),
     "strength",
 }
-CORE = FRAMES | {"kernels", "filters"}
+CORE = FRAMES | {"kernels", "filters", "posts"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
 JUDGES = {"scenes", "metrics"}
 
@@ -34,6 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "scenes": {"frame", "srgb"},
     "kernels": {"_util", "safe_math", "settings"},
     "filters": {"frame", "kernels", "noise", "nonfinite", "safe_math", "settings", "shutter"},
+    "posts": {"frame", "kernels", "noise", "safe_math", "settings"},
     "vectors": {"frame", "safe_math"},
     "exr": {"_util", "frame", "nonfinite", "srgb", "vectors"},
     "sequence": {"exr"},

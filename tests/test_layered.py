@@ -403,4 +403,4 @@ def test_a_spacing_reads_no_owner_beyond_the_last_in_native_code():
         )
         for backend in ("native", "xla")
     ]
-    np.testing.assert_allclose(*images, atol=1e-4)
+    np.testing.assert_allclose(images[0], images[1], atol=1e-4)

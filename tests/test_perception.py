@@ -135,9 +135,8 @@ COLUMNS = "study observer group started trial scene first second chosen catch".s
 def write_votes(path, observer, order, *, repeats=1, right=1.0, group="", study="k", scenes=("s",)):
     """Answers of an observer who prefers earlier names of an order."""
     rows, trial = [], 0
-    for scene, _, (a, b) in itertools.product(
-        scenes, range(repeats), itertools.combinations(sorted(order), 2)
-    ):
+    pairs = list(itertools.combinations(sorted(order), 2))
+    for scene, (a, b) in itertools.product(scenes, pairs * repeats):
         trial += 1
         better = min(a, b, key=order.index)
         rows.append([study, observer, group, "t", trial, scene, b, a, better, ""])

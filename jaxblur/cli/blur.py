@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, mattes, results, sequence, stack, stages, strength
+from . import isolation, mattes, posts, results, sequence, stack, stages, strength
 from .arguments import (
     PNG_TRANSFORM,
     CommandError,
@@ -100,6 +100,7 @@ def add_parser(commands: Any) -> None:
         help="fail, rather than warn, if the vectors move nothing by half a pixel",
     )
     strength.add_options(parser)
+    posts.add_options(parser, "--then")
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 
@@ -183,6 +184,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_colors(arguments)
     strength.check(arguments)
     mattes.check(arguments)
+    posts.check(arguments)
     results.check(arguments)
     asked = stages.Choice(*complete(arguments, _fitted(arguments.parameters)))
     if arguments.exposure is not None:
@@ -234,6 +236,7 @@ def run_single(arguments: argparse.Namespace, asked: stages.Choice) -> int:
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
     changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
     loaded = dataclasses.replace(loaded, changes=changes)
+    blurred = stages.after_blur(arguments, chosen, loaded, blurred, arguments.seed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = stages.scores_of(images, loaded)

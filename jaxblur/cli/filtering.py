@@ -321,6 +321,7 @@ def apply_filter(
     settings: Settings,
     seed: int | None = None,
     neighbors: Mapping[str, Any] | None = None,
+    call: Callable[..., Any] | None = None,
 ) -> Any:
     """Run a filter.
 
@@ -332,9 +333,10 @@ def apply_filter(
         seed: moves the built-in noise; None leaves it where it is.
         neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
             each a `jaxblur.Frame`, and ``shutter``; of one that takes a shutter: ``exposure``.
+        call: function with the filter's arguments to run instead of it, such as its hint.
 
     Returns:
-        (H, W, C) NumPy array.
+        (H, W, C) NumPy array, or what `call` gives.
     """
     import numpy as np
 
@@ -345,8 +347,8 @@ def apply_filter(
     settings = checked_settings(settings, info.kind, info.name)
     noise = noise_of(settings, seed, frame.depth.shape)
     values = info.make_parameters(**parameters)
-    call: Any = info.call
-    return np.asarray(call(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+    function: Any = call or info.call
+    return np.asarray(function(frame, values, settings=settings, noise=noise, **(neighbors or {})))
 
 
 def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:

@@ -85,7 +85,7 @@ def add_parser(commands: Any) -> None:
     # What `blur` has besides.
     nothing = ("velocity_from", "depth_from", "color_channels", "layer", "subframes", "result")
     more = ("plan", "tolerance", "budget", "parameters")
-    parser.set_defaults(**dict.fromkeys((*nothing, *more)), drop_extra=True, stack=())
+    parser.set_defaults(**dict.fromkeys((*nothing, *more)), drop_extra=True, stack=(), posts=())
 
 
 def _add_stack_options(parser: argparse.ArgumentParser) -> None:

@@ -22,6 +22,7 @@ from . import (
     info,
     layers,
     play,
+    post,
     report,
     scene,
     shutter,
@@ -35,7 +36,7 @@ from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (
-    *(blur, layers, fit, info, vectors, report, demo, scene, bench),
+    *(blur, fit, layers, post, info, vectors, report, demo, scene, bench),
     *(export, play, study, votes),
 )
 

@@ -274,8 +274,10 @@ class FrameWork:
             if job.action != "pass":
                 chosen = stages.choose(self.arguments, self.asked, loaded)
             with self._device():
-                blurred = stages.blur(chosen, loaded, self._at(job).seed)
-                changes = mattes.blur(chosen, loaded, self._at(job).seed, [loaded])
+                seed = self._at(job).seed
+                blurred = stages.blur(chosen, loaded, seed)
+                changes = mattes.blur(chosen, loaded, seed, [loaded])
+                blurred = stages.after_blur(self.arguments, chosen, loaded, blurred, seed)
             loaded = dataclasses.replace(loaded, changes=changes)
             return loaded.without_neighbor_pixels(), chosen, blurred
 

@@ -11,7 +11,7 @@ import jaxblur
 from jaxblur.filters.registry import filter_info
 from jaxblur.settings import Settings
 
-from . import layer_reading, sources, stack, strength
+from . import layer_reading, posts, sources, stack, strength
 from .arguments import PNG_TRANSFORM, CommandError, check_folder
 from .filtering import apply_filter, noise_of, takes_neighbors
 from .shutter import Exposure
@@ -354,6 +354,45 @@ def _blur_layers(chosen: Choice, loaded: Loaded, seed: int | None) -> Any:
     )
 
 
+def after_blur(
+    arguments: argparse.Namespace, chosen: Choice, loaded: Loaded, image: Any, seed: int | None
+) -> Any:
+    """Run the posts that the arguments name on a blurred frame.
+
+    Args:
+        arguments: of the command.
+        chosen: what has blurred it.
+        loaded: the frame.
+        image: (H, W, C) NumPy array, blurred.
+        seed: as `blur` was given it.
+
+    Returns:
+        (H, W, C) NumPy array.
+
+    Raises:
+        CommandError: a post needs depth, and the frame has none; or the hint of another filter.
+    """
+    buffers = loaded.buffers
+    depth = None if buffers.depth_channel is None else buffers.depth
+
+    def hint() -> Any:
+        if chosen.name == PASSED_THROUGH:
+            # What is not blurred has the luma of its picture.
+            return posts.linear_luma(image[..., : buffers.color.shape[2]])
+        if chosen.name != posts.HINTING:
+            raise CommandError(
+                f"--then {posts.HINTED}: {chosen.name} gives no hint; pass --filter "
+                f"{posts.HINTING}, or --then fxaa."
+            )
+        from jaxblur.filters.guertin2014 import luma_hint
+
+        return apply_filter(
+            chosen.name, buffers, chosen.parameters, chosen.settings, seed, call=luma_hint
+        )
+
+    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint)
+
+
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
     """Score images in the colors of a frame against its truth, as a screen shows them.
 
@@ -511,6 +550,7 @@ def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) ->
         **({LAYERS: stack.describe(loaded.layers)} if loaded.layers else {}),
         **({NEIGHBORS: neighbors} if neighbors else {}),
         **({MOTION: loaded.motion} if loaded.motion else {}),
+        **posts.notes(arguments),
     }
 
 

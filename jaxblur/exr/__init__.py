@@ -77,6 +77,7 @@ from .read import (
     DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,
     read_buffers as read_buffers,
+    read_depth as read_depth,
     read_frame as read_frame,
     read_image as read_image,
 )

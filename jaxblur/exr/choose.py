@@ -278,6 +278,8 @@ def choose_depth(
     depth_channel: str | None = None,
     color_prefix: str = "",
     taken: Sequence[str] = (),
+    *,
+    needed: bool = False,
 ) -> str:
     """Find the depth channel of a file.
 
@@ -287,6 +289,7 @@ def choose_depth(
         depth_channel: full name to take instead.
         color_prefix: layer of the color; a Z in the same layer is depth.
         taken: channels that have another use (the vectors).
+        needed: whether the caller cannot do with the same distance everywhere; for the message.
 
     Returns:
         Its full name.
@@ -311,10 +314,11 @@ def choose_depth(
         raise JaxblurIOError(
             info.path, f"several depth channels: {', '.join(found)}; choose with `depth_channel`."
         )
+    without = "" if needed else ", or depth='flat' to blur without occlusion"
     raise JaxblurIOError(
         info.path,
         f"no depth channel among {_listing(info, layer, taken)}; give `depth_channel` or "
-        "`depth_from`, or depth='flat' to blur without occlusion.",
+        f"`depth_from`{without}.",
     )
 
 

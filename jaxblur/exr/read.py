@@ -262,6 +262,40 @@ def read_image(
     return _as_light(info, group, read_channels(info.path, group.channels), "error")[0]
 
 
+def read_depth(
+    path: PathLike,
+    depth: str = "z",
+    *,
+    layer: str | None = None,
+    depth_channel: str | None = None,
+) -> Float[np.ndarray, "height width"]:
+    """Read the depth of a file that needs to hold nothing else.
+
+    Args:
+        path: EXR file.
+        depth: "z" positive distance, "-z" negated, "1/z" inverse, "-1/z" negated inverse.
+        layer: view layer, view or part to search.
+        depth_channel: full name of the depth channel.
+
+    Returns:
+        (H, W) float32, positive, +inf for background.
+
+    Raises:
+        JaxblurIOError: the file is missing or damaged, has no depth, or values contradict the kind
+            of depth.
+        ValueError: the kind is unknown.
+    """
+    kinds = ("z", "-z", "1/z", "-1/z")
+    if depth not in kinds:
+        raise ValueError(f"`depth` must be one of {', '.join(kinds)}; got {depth!r}.")
+    info = inspect(path)
+    channel = choose_depth(info, layer, depth_channel, needed=True)
+    raw = read_channels(info.path, [channel])[..., 0]
+    warn_lossy(info, info.channel(channel))
+    without_depth(info.path, channel, -raw if depth.startswith("-") else raw, "error")
+    return to_distance(raw, depth, info.path, channel)
+
+
 def to_distance(
     raw: Float[np.ndarray, "height width"], kind: str, path: PathLike, channel: str
 ) -> Float[np.ndarray, "height width"]:

@@ -6,6 +6,7 @@ filters that it judges.
 
 from .accumulation import accumulate as accumulate
 from .catalogue import SCENES as SCENES
+from .lens import ThinLens as ThinLens
 from .materials import Material as Material
 from .mesh import Mesh as Mesh, load_mesh as load_mesh
 from .motion import (

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .exposure import integrate, make_exposure
+from .lens import ThinLens
 from .rendering import check_exposure
 from .scene import Scene
 from .shutter import ShutterFunction, exposure_center, exposure_positions, shutter_curve
@@ -19,6 +20,7 @@ def accumulate(
     *,
     placement: str = "centered",
     readout: float = 0.0,
+    lens: ThinLens | None = None,
 ) -> Float[Array, "height width 3"]:
     """Render the true motion-blurred image.
 
@@ -43,6 +45,8 @@ def accumulate(
             shutter opens at `time`) or "trailing" (it closes at `time`).
         readout: frames from the exposure of the top edge of the image to that of the bottom edge;
             negative rolls upward, 0 is a global shutter.
+        lens: a lens, or None for a pinhole. Sample i passes through point i of the lens, so that
+            the mean is over time, pixel and lens at once.
 
     Returns:
         (H, W, 3) linear light, float32.
@@ -65,5 +69,7 @@ def accumulate(
         times = center + (shutter + abs(readout)) * position
     else:
         times = center + shutter * exposure_positions(curve, samples)
-    exposure = make_exposure(times, curve=curve, center=center, shutter=shutter, readout=readout)
+    exposure = make_exposure(
+        times, curve=curve, center=center, shutter=shutter, readout=readout, lens=lens
+    )
     return integrate(scene, exposure, size)

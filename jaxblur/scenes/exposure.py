@@ -1,5 +1,6 @@
 """The streamed mean of sharp images, each with one ray per pixel."""
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .lens import ThinLens
 from .raster import Capacity, covered_rows, enough, rays, visible_triangles
 from .scene import Scene, World, pose_at
 from .shading import shade, surface_at
@@ -29,6 +31,8 @@ class Exposure(NamedTuple):
         center: () frames, middle of the exposure of the middle of the image.
         shutter: () frames.
         readout: () frames between the exposures of the upper and the lower edge of the image.
+        lens: (N, 2) point of the lens to the right of its center and below, scene units.
+        focus: () depth of the plane in focus, scene units; infinite for a pinhole.
     """
 
     times: jax.Array
@@ -38,6 +42,8 @@ class Exposure(NamedTuple):
     center: jax.Array
     shutter: jax.Array
     readout: jax.Array
+    lens: jax.Array
+    focus: jax.Array
 
 
 def make_exposure(
@@ -47,6 +53,7 @@ def make_exposure(
     center: float = 0.0,
     shutter: float = 0.0,
     readout: float = 0.0,
+    lens: ThinLens | None = None,
 ) -> Exposure:
     """Give every sample time a subpixel position, and pad the arrays.
 
@@ -56,11 +63,13 @@ def make_exposure(
         center: frames, middle of the exposure.
         shutter: frames.
         readout: frames from the upper to the lower edge of the image.
+        lens: a lens, or None for a pinhole.
 
     Returns:
         The exposure.
     """
     padding = -len(times) % SAMPLE_BLOCK
+    points = np.zeros((len(times), 2)) if lens is None else lens.points(len(times))
     return Exposure(
         jnp.asarray(np.pad(times, (0, padding), mode="edge"), jnp.float32),
         jnp.asarray(np.pad(subpixel_offsets(len(times)), ((0, padding), (0, 0))), jnp.float32),
@@ -69,6 +78,8 @@ def make_exposure(
         jnp.float32(center),
         jnp.float32(shutter),
         jnp.float32(readout),
+        jnp.asarray(np.pad(points, ((0, padding), (0, 0))), jnp.float32),
+        jnp.float32(np.inf if lens is None else lens.focus),
     )
 
 
@@ -107,9 +118,9 @@ def integrate(
     last = int(exposure.count) - 1
     probes = np.asarray(exposure.times)[[0, last // 2, last]]
     capacity = needed_capacity(scene.world, probes, size)
-    rolling = bool(exposure.readout)
+    rolling, through_lens = bool(exposure.readout), bool(jnp.isfinite(exposure.focus))
     while True:
-        mean, needed = _integrate(scene.world, exposure, size, capacity, rolling)
+        mean, needed = _integrate(scene.world, exposure, size, capacity, rolling, through_lens)
         if fits(needed, capacity):
             return mean
         capacity = enough(*needed.tolist())
@@ -150,6 +161,8 @@ def sample_color(
     footprint: Float[Array, ""],
     size: tuple[int, int],
     capacity: Capacity,
+    lens_point: Float[Array, " 2"] | None = None,
+    focus: Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, "height width 3"], Array]:
     """Render one sharp image with one ray per pixel.
 
@@ -160,12 +173,24 @@ def sample_color(
         footprint: () width over which textures are averaged, pixels.
         size: static (height, width).
         capacity: static.
+        lens_point: (2,) where the ray leaves the lens, right of its center and below, scene units;
+            None for a pinhole.
+        focus: () depth at which all rays of a pixel meet; with a point of the lens only.
 
     Returns:
         (H, W, 3) linear light, and (2,) the rows and fragments needed.
     """
     pose = pose_at(world, time)
     focal = world.camera.focal * size[1]
+    if lens_point is not None and focus is not None:
+        # The camera moves to the point, and its image is sheared so that the focus stays in place.
+        aside = jnp.concatenate([lens_point, jnp.zeros(1)])
+        pose = dataclasses.replace(
+            pose,
+            points=pose.points - aside,
+            camera_position=pose.camera_position + pose.camera_rotation @ aside,
+        )
+        offset = offset - focal * lens_point / focus
     seen = visible_triangles(
         pose.points, world.triangles, world.closed, focal, offset, size, capacity
     )
@@ -206,9 +231,14 @@ def row_weights(exposure: Exposure, time: Float[Array, ""], height: int) -> Floa
     return jnp.interp(position, grid, exposure.curve, left=0.0, right=0.0)
 
 
-@functools.partial(jax.jit, static_argnames=("size", "capacity", "rolling"))
+@functools.partial(jax.jit, static_argnames=("size", "capacity", "rolling", "through_lens"))
 def _integrate(
-    world: World, exposure: Exposure, size: tuple[int, int], capacity: Capacity, rolling: bool
+    world: World,
+    exposure: Exposure,
+    size: tuple[int, int],
+    capacity: Capacity,
+    rolling: bool,
+    through_lens: bool,
 ) -> tuple[Array, Array]:
     """Return the weighted mean and the capacity needed; stop once `capacity` is exceeded."""
     # Each sample averages textures over its share of the pixel.
@@ -222,7 +252,10 @@ def _integrate(
     def add(state: tuple[Array, ...]) -> tuple[Array, ...]:
         i, total, weights, needed = state
         time = exposure.times[i]
-        color, count = sample_color(world, time, exposure.offsets[i], footprint, size, capacity)
+        lens = (exposure.lens[i], exposure.focus) if through_lens else (None, None)
+        color, count = sample_color(
+            world, time, exposure.offsets[i], footprint, size, capacity, *lens
+        )
         weight = row_weights(exposure, time, size[0]) if rolling else jnp.ones(size[0])
         total = total + weight[:, None, None] * color
         return i + 1, total, weights + weight, jnp.maximum(needed, count)

@@ -163,6 +163,7 @@ def row_ranges(
     top = jnp.ceil(jnp.min(row, 0) - 0.5 - offset[1] - ROW_MARGIN)
     bottom = jnp.ceil(jnp.max(row, 0) - 0.5 - offset[1] + ROW_MARGIN)
     first, last = (jnp.clip(edge, 0, height).astype(jnp.int32) for edge in (top, bottom))
+    column = column - offset[0]
     beside = (jnp.max(column, 0) < -1) | (jnp.min(column, 0) > width + 1)
     crosses = jnp.min(z, axis=0) <= NEAR
     first = jnp.where(crosses, 0, first)
@@ -248,7 +249,7 @@ def covered_rows(
         triangles: (F, 3) indices.
         closed: (F,) whether back faces are skipped.
         focal: () pixels.
-        offset: (2,) x and y of the sample from the pixel center, pixels, within +-1/2.
+        offset: (2,) x and y of the sample from the pixel center, pixels.
         size: static (height, width).
         capacity: static number of entries; entries beyond it are missing, see `Rows.needed`.
 
@@ -282,7 +283,7 @@ def visible_triangles(
         triangles: (F, 3) indices.
         closed: (F,) whether back faces are skipped.
         focal: () pixels.
-        offset: (2,) x and y of the sample from the pixel center, pixels, within +-1/2.
+        offset: (2,) x and y of the sample from the pixel center, pixels.
         size: static (height, width).
         capacity: static sizes; the result is wrong if the counts returned exceed them.
 

@@ -1,0 +1,140 @@
+"""``jaxblur post``: defocus and antialiasing alone, of pictures that need no blur."""
+
+import argparse
+import logging
+import pathlib
+from typing import Any
+
+import jaxblur
+
+from . import posts
+from .arguments import (
+    PNG_TRANSFORM,
+    CommandError,
+    add_command,
+    add_compute_options,
+    check_outputs,
+    file_path,
+    frame_numbers,
+)
+from .compute import start_jax
+from .console import print_line, track
+from .sources import add_channel_options
+from .stages import check_output
+
+LOG = logging.getLogger("jaxblur")
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "post", "Defocus or antialias a picture, or a sequence of pictures.", run
+    )
+    parser.add_argument(
+        "input", type=file_path, help="picture, or pictures: name.####.exr, name.%%04d.exr"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=file_path,
+        required=True,
+        metavar="OUT",
+        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing outputs")
+    parser.add_argument(
+        "--frames", type=frame_numbers, metavar="A-B[xN]", help="of a sequence (default: all)"
+    )
+    posts.add_options(parser, "--do", required=True)
+    group = parser.add_argument_group("where color and depth are")
+    group.add_argument("--layer", metavar="NAME", help="view layer, stereo view or part to look in")
+    add_channel_options(group)
+    group.add_argument("--depth-from", type=file_path, metavar="FILE")
+    group.add_argument(
+        "--depth",
+        default="z",
+        metavar="KIND",
+        help="z, 1/z, --depth=-z or --depth=-1/z (default %(default)s)",
+    )
+    add_compute_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the posts on a picture or a sequence; see `add_parser`."""
+    from jaxblur import exr
+
+    posts.check(arguments)
+    check_output(arguments.output)
+    jobs = _jobs(arguments)
+    for source, depth, output in jobs:
+        exr.inspect(source)
+        for file in (source, depth):
+            exr.refuse_overwrite(output, file)
+    check_outputs([output for *_, output in jobs], arguments.overwrite)
+    start_jax(not arguments.no_compile_cache)
+    if len(jobs) == 1:
+        _run_one(arguments, *jobs[0])
+        return 0
+    for index in track(list(range(len(jobs))), "post"):
+        _run_one(arguments, *jobs[index])
+    return 0
+
+
+def _jobs(arguments: argparse.Namespace) -> list[tuple[pathlib.Path, pathlib.Path, pathlib.Path]]:
+    """Picture, file with its depth, and output of every frame."""
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    from .sequence import frames_on_disk
+
+    depth = arguments.depth_from or arguments.input
+    if arguments.frames is None and not has_frame_number(arguments.input):
+        return [(arguments.input, depth, arguments.output)]
+    sources, outputs = parse_names(arguments.input), parse_names(arguments.output)
+    depths = parse_names(depth) if has_frame_number(depth) else None
+    numbers = arguments.frames or frames_on_disk(sources)
+    return [
+        (sources.path(n), depth if depths is None else depths.path(n), outputs.path(n))
+        for n in numbers
+    ]
+
+
+def _run_one(
+    arguments: argparse.Namespace, source: pathlib.Path, depth: pathlib.Path, output: pathlib.Path
+) -> None:
+    from jaxblur import exr
+
+    states = exr.FileStates.of([source, depth])
+    color = exr.read_image(source, arguments.layer, arguments.color_channels)
+    distance = None
+    if posts.needs_depth(arguments):
+        distance = exr.read_depth(
+            depth, arguments.depth, layer=arguments.layer, depth_channel=arguments.depth_channel
+        )
+        if distance.shape != color.shape[:2]:
+            (rows, columns), (height, width) = distance.shape, color.shape[:2]
+            raise CommandError(
+                f"{depth}: the depth has {columns}x{rows} pixels, but {source} has {width}x{height}"
+                "; render both with the same data window."
+            )
+    for part in exr.inspect(source).parts:
+        if again := posts.earlier(part.attributes, arguments.posts):
+            LOG.warning("%s: has been through %s before; this does it again.", source, again)
+            break
+    image = posts.apply(arguments, color, distance, color.shape[2])
+    sources = dict.fromkeys(path.name for path in (source, depth))
+    notes = {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:post_inputs": ", ".join(sources),
+        **posts.notes(arguments),
+    }
+    like = source if source.suffix.lower() == ".exr" else None
+    exr.write_image(
+        output,
+        image,
+        like=like,
+        attributes=notes,
+        layer=arguments.layer,
+        color_channels=arguments.color_channels,
+        unchanged=states,
+    )
+    print_line(f"{output}")

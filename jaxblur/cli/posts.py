@@ -1,0 +1,242 @@
+"""Options for what follows the blur: defocus and antialiasing; shared by ``blur`` and ``post``."""
+
+import argparse
+import dataclasses
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+from jaxblur.posts.lens import PRESETS, Lens
+
+from .arguments import CommandError, did_you_mean, positive_integer, positive_number
+
+LOG = logging.getLogger("jaxblur")
+
+POSTS = {
+    "defocus": "blur what a lens has out of focus; needs depth and --focus",
+    "fxaa": "FXAA 3.11, edges by luma",
+    "fxaa-hint": "the same over everything that guertin2014 blurs, which smooths its noise",
+    "mlaa": "morphological antialiasing, edges by luma",
+    "mlaa-depth": "the same with edges by depth: outlines of objects alone",
+}
+"""Posts by name, and what they do."""
+NEEDS_DEPTH = {"defocus", "mlaa-depth"}
+NEEDS_EDGES = {"fxaa", "mlaa"}
+"""Those that find edges in the picture itself."""
+HINTED = "fxaa-hint"
+HINTING = "guertin2014"
+"""The filter that gives a hint."""
+RADII = (4, 8, 16, 32, 64, 128, 256)
+"""Largest discs in pixels; each costs a compilation."""
+THEN = "jaxblur:then"
+"""Header attribute: the posts of an image, in order."""
+LENS = "jaxblur:lens"
+"""Header attribute: the lens of defocus."""
+
+_LENS_OPTIONS = ("focus", "lens", "f_number", "focal_length", "sensor", "unit", "lens_samples")
+
+
+def add_options(parser: argparse.ArgumentParser, option: str, *, required: bool = False) -> None:
+    """Add the option that names the posts, and those of the lens; `check` and `apply` read them.
+
+    Args:
+        parser: of a command.
+        option: ``--then`` or ``--do``.
+        required: whether the option must be given.
+    """
+    group = parser.add_argument_group("defocus and antialiasing")
+    group.add_argument(
+        option,
+        dest="posts",
+        type=post_names,
+        default=[],
+        required=required,
+        metavar="NAME,..",
+        help="in this order: " + "; ".join(f"{name}: {text}" for name, text in POSTS.items()),
+    )
+    parser.set_defaults(posts_option=option)
+    group.add_argument(
+        "--focus", type=positive_number, metavar="DEPTH", help="depth in focus, scene units"
+    )
+    group.add_argument(
+        "--lens",
+        choices=tuple(PRESETS),
+        metavar="NAME",
+        help=f"lens by name: {', '.join(PRESETS)}; the following options override it",
+    )
+    usual = Lens(1.0)
+    for name, metavar, text, value in (
+        ("--f-number", "N", "focal length by diameter of the aperture", usual.f_number),
+        ("--focal-length", "MM", "of the lens, millimeters", usual.focal_length),
+        ("--sensor", "MM", "width of the sensor that the frame shows", usual.sensor_width),
+        ("--unit", "M", "meters of a scene unit", usual.unit),
+    ):
+        group.add_argument(
+            name, type=positive_number, metavar=metavar, help=f"{text} (default {value:g})"
+        )
+    group.add_argument(
+        "--lens-samples",
+        type=positive_integer,
+        metavar="N",
+        help="samples of defocus per pixel (default 64)",
+    )
+
+
+def post_names(text: str) -> list[str]:
+    """Parse names of posts.
+
+    Raises:
+        ArgumentTypeError: there is no such post; the message suggests and lists.
+    """
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in POSTS:
+            hint = did_you_mean(name, POSTS)
+            raise argparse.ArgumentTypeError(
+                f"no post {name!r}{hint}; there are {', '.join(POSTS)}"
+            )
+    return names
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Reject options of the lens without defocus, and defocus without a focus, before any work.
+
+    Raises:
+        CommandError: an option is left over, missing or out of range.
+    """
+    option = arguments.posts_option
+    if HINTED in arguments.posts and option == "--do":
+        raise CommandError(
+            f"{option} {HINTED}: only what {HINTING} blurs has a hint; pass `jaxblur blur "
+            f"--filter {HINTING} --then {HINTED}`, or {option} fxaa."
+        )
+    if "defocus" not in arguments.posts:
+        for name in _LENS_OPTIONS:
+            if getattr(arguments, name) is not None:
+                raise CommandError(
+                    f"--{name.replace('_', '-')}: only {option} defocus takes it; add that, or "
+                    "leave it out."
+                )
+        return
+    if arguments.focus is None:
+        raise CommandError(f"{option} defocus: give --focus, the depth in focus in scene units.")
+    if (arguments.lens_samples or 2) < 2:
+        raise CommandError("--lens-samples: must be at least 2.")
+    try:
+        lens_of(arguments).check()
+    except ValueError as error:
+        raise CommandError(f"{option} defocus: {error}") from error
+
+
+def lens_of(arguments: argparse.Namespace) -> Lens:
+    """The lens that the options describe."""
+    lens = Lens.preset(arguments.lens, arguments.focus) if arguments.lens else Lens(arguments.focus)
+    given = {
+        "f_number": arguments.f_number,
+        "focal_length": arguments.focal_length,
+        "sensor_width": arguments.sensor,
+        "unit": arguments.unit,
+    }
+    return dataclasses.replace(lens, **{k: v for k, v in given.items() if v is not None})
+
+
+def needs_depth(arguments: argparse.Namespace) -> bool:
+    """Whether a post looks at depth."""
+    return not NEEDS_DEPTH.isdisjoint(arguments.posts)
+
+
+def apply(
+    arguments: argparse.Namespace, image: Any, depth: Any, picture: int, hint: Any = None
+) -> Any:
+    """Run the posts on an image.
+
+    Args:
+        arguments: of the command.
+        image: (H, W, C) NumPy array; further passes follow the picture's channels, and are mixed
+            by the same weights.
+        depth: (H, W), or None where no post looks at it.
+        picture: channels of the picture.
+        hint: function that gives (H, W) luma for `HINTED`; None where nothing was blurred.
+
+    Returns:
+        (H, W, C) NumPy array; the image itself without posts.
+
+    Raises:
+        CommandError: a post would take its edges from passes, or look at depth that is not there.
+    """
+    if not arguments.posts:
+        return image
+    import numpy as np
+
+    from jaxblur import posts
+    from jaxblur.frame import Frame
+
+    option, shape = arguments.posts_option, image.shape
+    if shape[2] > picture and picture < 3 and not NEEDS_EDGES.isdisjoint(arguments.posts):
+        raise CommandError(f"{option}: edges are found in red, green and blue; leave out --passes.")
+    if needs_depth(arguments) and depth is None:
+        raise CommandError(
+            f"{option} {','.join(arguments.posts)}: there is no depth; give --depth-channel or "
+            "--depth-from."
+        )
+    known = np.isfinite(image).all(axis=-1)
+    color = image if known.all() else np.where(known[..., None], image, np.float32(0))
+    distance = np.ones(shape[:2], np.float32) if depth is None else depth
+    still = np.zeros((*shape[:2], 2), np.float32)
+    for name in arguments.posts:
+        frame = Frame(color, distance, still, valid=None if known.all() else known)
+        if name == "defocus":
+            color = _defocused(arguments, frame)
+        elif name == "fxaa":
+            color = posts.fxaa(color)
+        elif name == HINTED:
+            color = posts.fxaa(color, hint())
+        elif name == "mlaa":
+            color = posts.mlaa(color)
+        else:
+            color = posts.mlaa(color, frame, "depth")
+    return np.asarray(color)
+
+
+def linear_luma(image: Any) -> Any:
+    """Luma of Rec. 709 of (H, W, C) linear light, or its first channel."""
+    if image.shape[2] < 3:
+        return image[..., 0]
+    return 0.2126 * image[..., 0] + 0.7152 * image[..., 1] + 0.0722 * image[..., 2]
+
+
+def _defocused(arguments: argparse.Namespace, frame: Any) -> Any:
+    import numpy as np
+
+    from jaxblur import posts
+
+    lens = lens_of(arguments)
+    discs = np.abs(np.asarray(posts.circle_of_confusion(frame, lens)))
+    largest = float(discs.max())
+    radius = next((step for step in RADII if step >= largest), RADII[-1])
+    LOG.info("defocus: discs up to a radius of %.1f px", largest)
+    if largest > radius:
+        LOG.warning(
+            "defocus: discs up to a radius of %.0f px are cut to %d px; check --focus, --f-number "
+            "and --unit.",
+            *(largest, radius),
+        )
+    return posts.defocus(frame, lens, radius=radius, samples=arguments.lens_samples or 64)
+
+
+def notes(arguments: argparse.Namespace) -> dict[str, str]:
+    """Metadata of the posts, to make an output again; empty without posts."""
+    if not arguments.posts:
+        return {}
+    found = {THEN: ", ".join(arguments.posts)}
+    if "defocus" in arguments.posts:
+        values: dict[str, Any] = dataclasses.asdict(lens_of(arguments))
+        values["samples"] = arguments.lens_samples or 64
+        found[LENS] = "\n".join(f"{name} = {value}" for name, value in values.items())
+    return found
+
+
+def earlier(attributes: Any, names: Sequence[str]) -> str:
+    """Those of some posts that a file says it has been through; empty if none."""
+    before = str(attributes.get(THEN, "")).split(", ")
+    return ", ".join(name for name in names if name in before)

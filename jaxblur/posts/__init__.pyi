@@ -1,0 +1,9 @@
+from .defocus import (
+    Lens as Lens,
+    circle_of_confusion as circle_of_confusion,
+    defocus as defocus,
+)
+from .fxaa import FXAAParameters as FXAAParameters, fxaa as fxaa
+from .lens import PRESETS as PRESETS
+from .luma import perceived_luma as perceived_luma
+from .mlaa import MLAAParameters as MLAAParameters, mlaa as mlaa

@@ -1,0 +1,138 @@
+"""``jaxblur blur --then`` and ``jaxblur post``."""
+
+import re
+
+import numpy as np
+import pytest
+
+from jaxblur import Frame, GuertinParameters, GuertinSettings, exr, luma_hint, posts
+from jaxblur.noise import make_noise
+from jaxblur.posts import Lens
+from tests.command_line import refused, run
+from tests.exr_files import plain_frame, write_single
+
+SIZE = (24, 36)
+BLUR = ("--preset", "jaxblur", "--filter", "pixel_velocity", "--noise", "none")
+LENS = ("--focus", "4", "--f-number", "2", "--focal-length", "200")
+
+
+@pytest.fixture
+def source(tmp_path):
+    return write_frame(tmp_path / "beauty.exr")
+
+
+def write_frame(path, velocity=6.0, seed=0):
+    channels = plain_frame(SIZE, seed)
+    channels["velocity.X"] = np.full(SIZE, velocity, np.float32)
+    channels["velocity.Y"] = np.zeros(SIZE, np.float32)
+    depth = np.full(SIZE, 9, np.float32)
+    depth[6:16, 8:22] = 4
+    channels["Z"] = depth
+    return write_single(path, channels)
+
+
+def done(*arguments):
+    outcome = run(*arguments)
+    assert outcome.status == 0, outcome.err
+    return outcome
+
+
+def notes(path):
+    return exr.inspect(path).parts[0].attributes
+
+
+def test_posts_follow_the_blur_in_order(source, tmp_path):
+    blurred, out = tmp_path / "blurred.exr", tmp_path / "out.exr"
+    done("blur", source, "-o", blurred, *BLUR)
+    done("blur", source, "-o", out, *BLUR, "--then", "defocus,fxaa", *LENS)
+    depth = exr.read_depth(source)
+    color = exr.read_image(blurred)
+    lens = Lens(4.0, 2.0, 200.0)
+    frame = Frame(color, depth, np.zeros((*SIZE, 2), np.float32))
+    expected = posts.fxaa(posts.defocus(frame, lens, radius=32))
+    np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
+    assert notes(out)["jaxblur:then"] == "defocus, fxaa"
+    assert "focus = 4" in notes(out)["jaxblur:lens"]
+    assert "jaxblur:then" not in notes(blurred)
+
+
+def test_a_picture_alone(source, tmp_path):
+    out = tmp_path / "out.exr"
+    printed = done("post", source, "-o", out, "--do", "mlaa,mlaa-depth").out
+    assert printed.split() == [str(out)]
+    color, depth = exr.read_image(source), exr.read_depth(source)
+    frame = Frame(color, depth, np.zeros((*SIZE, 2), np.float32))
+    expected = posts.mlaa(posts.mlaa(color), frame, "depth")
+    np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
+    # The other channels are copied bit for bit.
+    for name in ("Z", "velocity.X"):
+        assert np.array_equal(exr.read_channels(out, [name]), exr.read_channels(source, [name]))
+    assert notes(out)["jaxblur:then"] == "mlaa, mlaa-depth"
+    assert notes(out)["jaxblur:post_inputs"] == "beauty.exr"
+    again = done("post", out, "-o", tmp_path / "again.exr", "--do", "mlaa")
+    assert "has been through mlaa before" in again.err
+
+
+def test_a_sequence(tmp_path):
+    for number in (1, 2):
+        write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
+    done("post", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.png", "--do", "fxaa")
+    assert (tmp_path / "out.0001.png").exists() and (tmp_path / "out.0002.png").exists()
+    done(
+        *("blur", tmp_path / "in.####.exr", "-o", tmp_path / "b.####.exr", *BLUR),
+        *("--then", "mlaa"),
+    )
+    assert notes(tmp_path / "b.0002.exr")["jaxblur:then"] == "mlaa"
+
+
+def test_the_hint_is_that_of_the_filter(source, tmp_path):
+    blurred, out = tmp_path / "blurred.exr", tmp_path / "out.exr"
+    options = ("--preset", "jaxblur", "--filter", "guertin2014", "--radius", "8", "--seed", "3")
+    done("blur", source, "-o", blurred, *options)
+    done("blur", source, "-o", out, *options, "--then", "fxaa-hint")
+    frame = exr.read_frame(source, preset="jaxblur")
+    settings, noise = GuertinSettings(radius=8), make_noise("ign", *SIZE, 3)
+    hint = luma_hint(frame, GuertinParameters(), settings=settings, noise=noise)
+    assert set(np.unique(hint)) == {0, 1}
+    expected = posts.fxaa(exr.read_image(blurred), hint)
+    np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
+    error = refused("blur", source, "-o", tmp_path / "o.exr", *BLUR, "--then", "fxaa-hint")
+    assert "pixel_velocity gives no hint" in error
+    error = refused("post", source, "-o", tmp_path / "o.exr", "--do", "fxaa-hint")
+    assert "jaxblur blur --filter guertin2014" in error
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--do", "fxa"), "no post 'fxa' \\(did you mean fxaa\\?\\)"),
+        (("--do", "defocus"), "give --focus"),
+        (("--do", "fxaa", "--f-number", "2"), "--f-number: only --do defocus takes it"),
+        (("--do", "defocus", "--focus", "0.01"), "beyond the focal length of 35 mm"),
+        (("--do", "mlaa", "--frames", "1"), "beauty.exr"),
+    ],
+)
+def test_refusals(source, tmp_path, options, message):
+    error = refused("post", source, "-o", tmp_path / "out.exr", *options)
+    assert re.search(message, error), error
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_defocus_needs_depth(tmp_path):
+    flat = {name: plane for name, plane in plain_frame(SIZE).items() if name != "Z"}
+    flat = write_single(tmp_path / "flat.exr", flat)
+    error = refused("post", flat, "-o", tmp_path / "o.exr", "--do", "defocus", "--focus", "4")
+    assert "no depth channel" in error and "flat to blur" not in error
+    source = write_frame(tmp_path / "beauty.exr")
+    options = ("--depth", "flat", "--then", "defocus", "--focus", "4")
+    assert "there is no depth" in refused("blur", source, "-o", tmp_path / "o.exr", *BLUR, *options)
+
+
+def test_an_output_is_not_replaced_and_an_input_never(source, tmp_path):
+    out = tmp_path / "out.exr"
+    done("post", source, "-o", out, "--do", "fxaa")
+    assert "--overwrite" in refused("post", source, "-o", out, "--do", "fxaa")
+    done("post", source, "-o", out, "--do", "fxaa", "--overwrite")
+    before = source.read_bytes()
+    refused("post", source, "-o", source, "--do", "fxaa", "--overwrite")
+    assert source.read_bytes() == before
