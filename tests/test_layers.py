@@ -232,3 +232,12 @@ def test_what_the_border_cuts_goes_on_outside():
 def test_what_is_no_stack_is_refused(layers, words):
     with pytest.raises(ValueError, match=words):
         blur_layers(layers(*layers_of(1.0, 0.0)))
+
+
+def test_known_layers_are_checked_while_something_else_is_traced():
+    layers = layers_of(4.0, 0.0)
+    scale = jax.jit(lambda factor: factor * blur_layers(layers, settings=SETTINGS))
+    assert np.isfinite(scale(2.0)).all()
+    bad = layers[0].replace(velocity=layers[0].velocity.at[3, 4].set(np.nan))
+    with pytest.raises(ValueError, match=r"`layers\[0\].frame.velocity` is NaN at 1 of"):
+        blur_layers([bad, layers[1]], settings=SETTINGS)

@@ -13,6 +13,7 @@ from .arguments import (
     file_path,
     positive_integer,
 )
+from .compute import add_threads_option, limited_threads
 from .filtering import (
     add_filter_options,
     add_nonfinite_option,
@@ -69,6 +70,7 @@ def add_parser(commands: Any) -> None:
     _add_stack_options(parser)
     blur.add_color_options(parser)
     add_compute_options(parser)
+    add_threads_option(parser)
     group = add_filter_options(parser, FILTER, alone=True)
     add_quality_option(group)
     add_seed_option(group)
@@ -84,7 +86,7 @@ def add_parser(commands: Any) -> None:
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
     # What `blur` has besides.
     nothing = ("velocity_from", "depth_from", "color_channels", "layer", "subframes", "result")
-    more = ("plan", "tolerance", "budget", "parameters")
+    more = ("plan", "tolerance", "budget", "parameters", "cryptomatte")
     parser.set_defaults(**dict.fromkeys((*nothing, *more)), drop_extra=True, stack=(), posts=())
 
 
@@ -137,15 +139,16 @@ def run(arguments: argparse.Namespace) -> int:
     blur.check_colors(arguments)
     strength.check(arguments)
     asked = stages.Choice(*complete(arguments))
-    if sequence.is_asked_for(arguments):
-        return sequence.run(arguments, asked)
-    sequence.refuse_options(arguments)
     from jaxblur.exr import JaxblurIOError
 
-    try:
-        return blur.run_single(arguments, asked)
-    except JaxblurIOError as error:
-        raise layer_reading.with_remedies(error) from error
+    with limited_threads(arguments.threads):
+        if sequence.is_asked_for(arguments):
+            return sequence.run(arguments, asked)
+        sequence.refuse_options(arguments)
+        try:
+            return blur.run_single(arguments, asked)
+        except JaxblurIOError as error:
+            raise layer_reading.with_remedies(error) from error
 
 
 def _check(arguments: argparse.Namespace) -> None:

@@ -140,10 +140,11 @@ def mlaa_shares(lines, crossings, search):
 def mlaa(image, threshold=0.1, search=12, edges=None):
     image = np.asarray(image, float)
     edges = mlaa_edges(image, threshold) if edges is None else edges
-    top, left = edges[0], edges[1]
+    top, left = np.asarray(edges[0]), np.asarray(edges[1])
     above, below = mlaa_shares(top, left, search)
-    before, after = (share.T for share in mlaa_shares(left.T, top.T, search))
-    height, width = top.shape
+    shares = mlaa_shares(left.T, top.T, search)
+    before, after = shares[0].T, shares[1].T
+    height, width = len(top), top.shape[-1]
     out = image.copy()
     for y, x in np.ndindex(top.shape):
         mixes = [(below[y, x], y - 1, x), (after[y, x], y, x - 1)]

@@ -22,6 +22,7 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...noise import Noise
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
+from .._arguments import refuse_nan_motion
 from .._sampling import find_texel
 from ..builtin import check_layered
 from ..parameters import LayeredParameters
@@ -284,6 +285,10 @@ def _check_layer(number: int, layer: Layer, first: Layer) -> None:
     if shape != expected:
         raise ValueError(f"`{name}` must have the shape of `layers[0]`, {expected}, got {shape}.")
     _check_alpha(name, layer.frame)
+    try:
+        refuse_nan_motion(layer.frame)
+    except ValueError as error:
+        raise ValueError(str(error).replace("`frame.", f"`{name}.frame.")) from error
     for side in ("before", "after"):
         if (neighbor := getattr(layer, side)) is not None:
             checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
@@ -303,8 +308,10 @@ def _check_alpha(name: str, frame: Frame) -> None:
     """Reject a last channel that cannot be alpha; a traced one is not looked at."""
     if isinstance(frame.color, core.Tracer):
         return
-    alpha = jnp.asarray(frame.color)[..., -1]
-    lowest, highest = (float(f(alpha)) for f in (jnp.min, jnp.max))
+    # Values are known here, also while something else is traced.
+    with jax.ensure_compile_time_eval():
+        alpha = jnp.asarray(frame.color)[..., -1]
+        lowest, highest = float(alpha.min()), float(alpha.max())
     if lowest < -ALPHA_BEYOND or highest > 1 + ALPHA_BEYOND:
         raise ValueError(
             f"`{name}` must have alpha, 0 to 1, as its last channel, got values from {lowest:g} to "
