@@ -102,6 +102,20 @@ def test_the_hint_is_that_of_the_filter(source, tmp_path):
     assert "jaxblur blur --filter guertin2014" in error
 
 
+def test_reblur_follows_the_motion(tmp_path):
+    source = write_frame(tmp_path / "fast.exr", velocity=40.0)
+    blurred, out = tmp_path / "blurred.exr", tmp_path / "out.exr"
+    done("blur", source, "-o", blurred, *BLUR)
+    done("blur", source, "-o", out, *BLUR, "--then", "reblur")
+    frame = exr.read_frame(source, preset="jaxblur")
+    expected = posts.reblur(exr.read_image(blurred), frame)
+    made = exr.read_image(out)
+    np.testing.assert_allclose(made, expected, atol=2e-3)
+    assert np.abs(made - exr.read_image(blurred)).max() > 1e-3
+    error = refused("post", source, "-o", tmp_path / "o.exr", "--do", "reblur")
+    assert "--do reblur: is for what was blurred along its motion" in error
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -13,6 +13,7 @@ from .arguments import CommandError, did_you_mean, positive_integer, positive_nu
 LOG = logging.getLogger("jaxblur")
 
 POSTS = {
+    "reblur": "mean of three pixels along the motion, against the noise of the blur",
     "defocus": "blur what a lens has out of focus; needs depth and --focus",
     "fxaa": "FXAA 3.11, edges by luma",
     "fxaa-hint": "the same over everything that guertin2014 blurs, which smooths its noise",
@@ -23,6 +24,7 @@ POSTS = {
 NEEDS_DEPTH = {"defocus", "mlaa-depth"}
 NEEDS_EDGES = {"fxaa", "mlaa"}
 """Those that find edges in the picture itself."""
+REBLUR = "reblur"
 HINTED = "fxaa-hint"
 HINTING = "guertin2014"
 """The filter that gives a hint."""
@@ -110,6 +112,11 @@ def check(arguments: argparse.Namespace) -> None:
             f"{option} {HINTED}: only what {HINTING} blurs has a hint; pass `jaxblur blur "
             f"--filter {HINTING} --then {HINTED}`, or {option} fxaa."
         )
+    if REBLUR in arguments.posts and option == "--do":
+        raise CommandError(
+            f"{option} {REBLUR}: is for what was blurred along its motion; pass `jaxblur blur "
+            f"--then {REBLUR}`."
+        )
     if "defocus" not in arguments.posts:
         for name in _LENS_OPTIONS:
             if getattr(arguments, name) is not None:
@@ -146,7 +153,12 @@ def needs_depth(arguments: argparse.Namespace) -> bool:
 
 
 def apply(
-    arguments: argparse.Namespace, image: Any, depth: Any, picture: int, hint: Any = None
+    arguments: argparse.Namespace,
+    image: Any,
+    depth: Any,
+    picture: int,
+    hint: Any = None,
+    velocity: Any = None,
 ) -> Any:
     """Run the posts on an image.
 
@@ -157,6 +169,7 @@ def apply(
         depth: (H, W), or None where no post looks at it.
         picture: channels of the picture.
         hint: function that gives (H, W) luma for `HINTED`; None where nothing was blurred.
+        velocity: (H, W, 2) by which it was blurred, pixels; None where nothing was.
 
     Returns:
         (H, W, C) NumPy array; the image itself without posts.
@@ -182,10 +195,12 @@ def apply(
     known = np.isfinite(image).all(axis=-1)
     color = image if known.all() else np.where(known[..., None], image, np.float32(0))
     distance = np.ones(shape[:2], np.float32) if depth is None else depth
-    still = np.zeros((*shape[:2], 2), np.float32)
+    still = np.zeros((*shape[:2], 2), np.float32) if velocity is None else velocity
     for name in arguments.posts:
         frame = Frame(color, distance, still, valid=None if known.all() else known)
-        if name == "defocus":
+        if name == REBLUR:
+            color = posts.reblur(color, frame)
+        elif name == "defocus":
             color = _defocused(arguments, frame)
         elif name == "fxaa":
             color = posts.fxaa(color)

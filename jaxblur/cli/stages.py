@@ -390,7 +390,8 @@ def after_blur(
             chosen.name, buffers, chosen.parameters, chosen.settings, seed, call=luma_hint
         )
 
-    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint)
+    velocity = None if chosen.name == PASSED_THROUGH else buffers.velocity
+    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint, velocity)
 
 
 def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:

@@ -208,3 +208,38 @@ def defocus(color, depth, disc, tap, samples, radius, extent):
         if coverage > 0:
             out[y, x] += covered * front / coverage
     return out
+
+
+def reblur(image, frame, parameters):
+    """The mean of three pixels along the motion, pixel by pixel."""
+    image = np.asarray(image, float)
+    velocity, depth = np.asarray(frame.velocity, float), np.asarray(frame.depth, float)
+    height, width = depth.shape
+    out = image.copy()
+    for y, x in np.ndindex(height, width):
+        own = velocity[y, x]
+        speed = np.hypot(*own)
+        if speed <= parameters.shortest:
+            continue
+        total, mixed = 1.0, image[y, x].copy()
+        for side in (-1, 1):
+            across, down = side * own / speed
+            row, column = y + int(np.floor(down + 0.5)), x + int(np.floor(across + 0.5))
+            if not (0 <= row < height and 0 <= column < width):
+                continue
+            depths = sorted((depth[y, x], depth[row, column]))
+            if depths[0] < (1 - parameters.surface) * depths[1]:
+                continue
+            if np.hypot(*(velocity[row, column] - own)) > parameters.alike * speed:
+                continue
+            top, left = int(np.floor(down)), int(np.floor(across))
+            light = np.zeros(image.shape[2])
+            for i, j in itertools.product((0, 1), (0, 1)):
+                share = abs(1 - i - (down - top)) * abs(1 - j - (across - left))
+                at = np.clip(y + top + i, 0, height - 1), np.clip(x + left + j, 0, width - 1)
+                light += share * image[at]
+            apart = np.abs(np.sqrt(light) - np.sqrt(image[y, x])).max() / parameters.noise
+            weight = np.exp(-(apart**2))
+            mixed, total = mixed + weight * light, total + weight
+        out[y, x] = mixed / total
+    return out
