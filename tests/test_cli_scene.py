@@ -119,8 +119,8 @@ def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):
     names = sorted(path.name for path in folder.iterdir())
     kinds = ("blurred", "sharp", "truth")
     files = [f"{kind}.{end}" for kind in kinds for end in ("exr", "png")]
-    assert names == sorted([*files, "report.html", "result"])
-    for name in (*files, "report.html"):
+    assert names == sorted([*files, "play.html", "report.html", "result"])
+    for name in (*files, "play.html", "report.html"):
         assert name in outcome.out
     rows = [line.split() for line in outcome.out.splitlines()]
     scores = {row[0]: float(row[1]) for row in rows if row[0] in ("sharp", "layered")}

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import jaxblur
+from jaxblur._util.atomic import replacing
 from jaxblur.filters.registry import filter_info
 
 from .arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import DEFAULT_FILTER, apply_filter
+from .play import page_of
 from .report import write_page
 from .scene import image_size, make_scene
 from .stages import SCORE_COLUMNS, score_rows, scores
@@ -55,8 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     images = {kind: folder / f"{kind}.exr" for kind in ("sharp", "blurred", "truth")}
     pngs = {kind: path.with_suffix(".png") for kind, path in images.items()}
-    result, page = folder / "result", folder / "report.html"
-    outputs = [*images.values(), *pngs.values(), page, result / MANIFEST]
+    result, page, play = folder / "result", folder / "report.html", folder / "play.html"
+    outputs = [*images.values(), *pngs.values(), page, play, result / MANIFEST]
     check_outputs(outputs, arguments.overwrite)
     height, width = arguments.size
     LOG.info("rendering %s at %dx%d, and its truth", arguments.scene, width, height)
@@ -87,6 +89,15 @@ def run(arguments: argparse.Namespace) -> int:
     print_table(SCORE_COLUMNS, score_rows(scores({"sharp": sharp, name: blurred}, truth)))
     _write_page(result, page, arguments.scene, truth, {"sharp": sharp, name: blurred})
     print_line(f"{page}: to compare them in a browser")
+    buffers = {"color": sharp, "depth": frame.depth, "velocity": frame.velocity, "path": frame.path}
+    html = page_of(
+        *(name, {}, filter_info(name).settings, buffers, truth),
+        title=arguments.scene,
+        shutter=SHUTTER,
+    )
+    with replacing(play) as temporary:
+        pathlib.Path(temporary).write_text(html, encoding="utf-8")
+    print_line(f"{play}: to blur it in a browser with WebGPU, by sliders")
     print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
     return 0
 

@@ -3,6 +3,7 @@
 import argparse
 import logging
 import pathlib
+from collections.abc import Mapping
 from typing import Any
 
 from jaxblur._util.atomic import replacing
@@ -113,34 +114,67 @@ def _page(
 
     start_jax(not arguments.no_compile_cache)
     from jaxblur import exr, metrics, vectors
-    from jaxblur.export import build_play, graph_of
-    from jaxblur.noise import make_noise
 
     info = exr.inspect(arguments.input)
     colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
     color = np.asarray(metrics.rgb(colors.light(buffers.color)), np.float32)
-    height, width = color.shape[:2]
     if arguments.radius == 0:
         fastest = vectors.speed_statistics(buffers.velocity, settings.radius).suggested_radius
         settings = dataclasses.replace(settings, radius=fastest)
         LOG.info("radius: %d px", fastest)
-    path = buffers.path if name == "layered" else None
-    planes = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
-    if path is not None:
-        planes["path"] = path
+    frame = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
+    if buffers.path is not None:
+        frame["path"] = buffers.path
+    truth = _truth(arguments, color.shape)
+    return page_of(
+        *(name, parameters, settings, frame, truth),
+        title=arguments.input.name,
+        shutter=arguments.shutter,
+    )
+
+
+def page_of(
+    name: str,
+    parameters: Mapping[str, Any],
+    settings: Any,
+    frame: Mapping[str, Any],
+    truth: Any,
+    *,
+    title: str,
+    shutter: float,
+) -> str:
+    """The page that blurs a frame.
+
+    Args:
+        name: of the filter.
+        parameters: that differ from its defaults.
+        settings: of the filter.
+        frame: NumPy arrays by name: color (H, W, 3) as a screen shows it, depth, velocity, and path
+            where there is one.
+        truth: (H, W, 3) likewise, or None.
+        title: of the page.
+        shutter: exposure in frames.
+
+    Returns:
+        HTML.
+    """
+    import numpy as np
+
+    from jaxblur.export import build_play, graph_of
+    from jaxblur.noise import make_noise
+
+    height, width = frame["depth"].shape
     noise = make_noise("halton", height, width)
+    names = [key for key in frame if key != "path" or name == "layered"]
+    planes = {key: np.asarray(frame[key], np.float32) for key in names}
     planes |= {"noise_tap": np.asarray(noise.tap), "noise_tile": np.asarray(noise.tile)}
     filter_of = find_filter(name)
     graph = graph_of(
         *(filter_of, filter_of.make_parameters(**parameters), settings),
         channels=3,
-        has_path=path is not None,
+        has_path="path" in planes,
     )
-    return build_play(
-        *(graph, planes, _truth(arguments, color.shape)),
-        title=arguments.input.name,
-        shutter=arguments.shutter,
-    )
+    return build_play(graph, planes, truth, title=title, shutter=shutter)
 
 
 def _truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
