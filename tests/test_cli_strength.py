@@ -349,6 +349,8 @@ def check_objects_only(path, block, *options):
     before, plain = exr.read_image(path), blurred(path, "--shutter", "1")
     assert moves(before, plain).mean() > 0.95
     image = blurred(path, "--shutter", "1", "--objects-only", *options)
+    same = blurred(path, "--shutter", "1", "--camera-motion", "0", *options)
+    np.testing.assert_array_equal(same, image)
     assert not moves(before, image)[~block].any()
     assert moves(before, image)[block].all()
 

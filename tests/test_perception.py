@@ -167,7 +167,14 @@ def test_a_round_that_was_not_finished_is_left_out(tmp_path):
     path = write_votes(tmp_path / "1.csv", "ann", "cab", repeats=2)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:5], ""]))
-    assert len(perception.read_votes([path]).counts) == 1
+    votes = perception.read_votes([path])
+    assert len(votes.counts) == 1 and votes.unfinished == {"ann": 1}
+
+
+def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
+    path = write_votes(tmp_path / "1.csv", "sleepy", "cab", right=0)
+    with pytest.raises(ValueError, match="answered 80 % of the catch trials right \\(sleepy 0 %"):
+        perception.read_votes([path])
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,7 @@ def test_what_the_command_refuses(tmp_path):
         *("vectors", CUBE, "--next", CUBE_NEXT, "--previous", CUBE_NEXT)
     )
     error = refused("vectors", CUBE, "--conform", "blender")
-    assert "lead to the previous and the next frame" in error
+    assert "--next: is missing" in error and "previous and the next frame, and one of" in error
     assert "is the frame itself" in refused(
         "vectors", CUBE, "--previous", CUBE, "--conform", "auto"
     )

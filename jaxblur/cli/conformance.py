@@ -47,8 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError:
         sides = ["previous" if pair.time < 0 else "next" for pair in buffers.guess.layout]
         raise CommandError(
-            f"--{sides[0]}: is missing; the vectors of {arguments.file} lead to the "
-            f"{' and the '.join(sides)} frame."
+            f"--{sides[-1]}: is missing; the vectors of {arguments.file} lead to the "
+            f"{' and the '.join(sides)} frame, and one of them must be given."
         ) from None
     if arguments.json:
         found = {"preset": buffers.guess.preset.name, "channels": list(buffers.guess.channels)}

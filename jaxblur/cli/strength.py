@@ -207,8 +207,10 @@ def apply(arguments: argparse.Namespace, buffers: Any) -> Changed:
 def _given(arguments: argparse.Namespace) -> list[str]:
     """The options that change a motion, as far as they are given."""
     names = ("scale_motion", "camera_motion", "objects_only", "camera_only", "limit_motion")
-    unset = (None, False, [])
-    return [name.replace("_", "-") for name in names if getattr(arguments, name, None) not in unset]
+    values = {name: getattr(arguments, name, None) for name in names}
+    # By identity: a share of 0 is equal to False, and is given.
+    given = (n for n, v in values.items() if v is not None and v is not False and v != [])
+    return [name.replace("_", "-") for name in given]
 
 
 def _keeps_camera(arguments: argparse.Namespace) -> bool:

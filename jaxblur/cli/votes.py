@@ -46,6 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
         LOG.warning(
             "%s answered %.0f %% of the catch trials right, and is left out.", observer, 100 * share
         )
+    for observer, count in votes.unfinished.items():
+        LOG.warning(
+            "%s: %d votes are not counted, for they are of rounds that lack pairs.", observer, count
+        )
     if arguments.group is not None:
         votes = votes.of_group(arguments.group)
     if len(votes.counts) < 3:

@@ -30,6 +30,8 @@ class Votes:
         observers: for each round, who voted.
         groups: for each round, the group of that observer, such as "expert".
         left_out: observers who failed the catch trials, with their share of right answers.
+        unfinished: observers with votes in rounds that are not complete, with their number; these
+            votes are not counted.
     """
 
     names: tuple[str, ...]
@@ -37,6 +39,7 @@ class Votes:
     observers: tuple[str, ...]
     groups: tuple[str, ...]
     left_out: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    unfinished: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
     def of_group(self, group: str) -> "Votes":
         """The votes of one group of observers.
@@ -100,7 +103,14 @@ def read_votes(paths: Iterable[str | pathlib.Path], least_right: float = 0.8) ->
         raise ValueError("`paths` must name at least one file with votes.")
     right = _right_answers(rows)
     left_out = {observer: share for observer, share in right.items() if share < least_right}
-    return _votes([row for row in rows if row["observer"] not in left_out], left_out)
+    kept = [row for row in rows if row["observer"] not in left_out]
+    if not kept:
+        listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in left_out.items())
+        raise ValueError(
+            f"`paths` hold no votes of observers who answered {100 * least_right:.0f} % of the "
+            f"catch trials right ({listed})."
+        )
+    return _votes(kept, left_out)
 
 
 def _rows(path: pathlib.Path) -> list[dict[str, str]]:
@@ -158,6 +168,12 @@ def _votes(rows: Sequence[Mapping[str, str]], left_out: Mapping[str, float]) -> 
         groups[row["observer"]] = row["group"]
     whole = math.comb(len(names), 2)
     done = {key: votes for key, votes in rounds.items() if votes.sum() == whole}
+    unfinished: dict[str, int] = {}
+    for (observer, *_), votes in rounds.items():
+        if votes.sum() != whole:
+            unfinished[observer] = unfinished.get(observer, 0) + int(votes.sum())
     counts = np.array(list(done.values()), int).reshape(-1, len(names), len(names))
     observers = tuple(observer for observer, _, _ in done)
-    return Votes(tuple(place), counts, observers, tuple(groups[o] for o in observers), left_out)
+    return Votes(
+        tuple(place), counts, observers, tuple(groups[o] for o in observers), left_out, unfinished
+    )
