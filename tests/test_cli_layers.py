@@ -201,7 +201,8 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
     ("arguments", "says"),
     [
         (("street.exr", "hero.exr"), "street.exr: R, G, B: no alpha (A), which every layer but"),
-        (("street.exr",), "street.exr: R, G, B: no alpha (A)"),
+        (("street.exr",), "street.exr: is one layer; give more"),
+        (("hero.exr", "street.exr", "--deep-layers", "2"), "--deep-layers: no layer is of a deep"),
         (("hero.exr:villain", "street.exr"), "hero.exr: no layer 'villain'"),
         (("hero.exr", "street.exr", "--holdout", "3"), "--holdout 3: no layer of that name; there"),
         (("hero.exr", "--holdout", "hero"), "--holdout: nothing is left to be seen"),

@@ -32,6 +32,15 @@ def read(arguments: argparse.Namespace) -> tuple[tuple[stack.ReadLayer, ...], st
         JaxblurIOError: a file is missing, damaged or holds something else, or a layer has no alpha.
     """
     layers, motions, selections = [], [], []
+    if len(arguments.stack) == 1 and not _is_deep(arguments, 0):
+        raise CommandError(
+            f"{arguments.layers[0].text}: is one layer; give more, from the front to the back, or "
+            "use `jaxblur blur`."
+        )
+    if arguments.deep_layers and not any(
+        _is_deep(arguments, number) for number in range(len(arguments.stack))
+    ):
+        raise CommandError("--deep-layers: no layer is of a deep file; leave it out.")
     for number, place in enumerate(arguments.stack):
         last = number == len(arguments.stack) - 1 and number > 0
         found, motion, selects = _read_place(arguments, number, place, last)
@@ -40,6 +49,12 @@ def read(arguments: argparse.Namespace) -> tuple[tuple[stack.ReadLayer, ...], st
         motions += [f"{found[0].name}: {motion}"] if motion else []
     _check_alike(layers)
     return tuple(layers), "; ".join(motions), any(selections)
+
+
+def _is_deep(arguments: argparse.Namespace, number: int) -> bool:
+    from jaxblur import exr
+
+    return exr.is_deep(exr.inspect(stack.each(arguments)[number].input))
 
 
 def _read_place(

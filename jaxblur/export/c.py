@@ -217,7 +217,7 @@ def _header(graph: Graph, name: str) -> str:
             "/* Blur a frame. Images are row-major, row 0 is the top, channels lie together:",
             *shapes,
             "   Velocity is half of what a point moves while the shutter is open, pixels, x to the",
-            "   right and y down. Depth is positive along the view axis, infinity for the sky.",
+            "   right and y down. Depth is positive along the view axis, 1e18 for the sky.",
             "   Parameters may be NULL for the defaults. No image may overlap another one.",
             "   Returns 0, or 1 if the frame is empty or too large. */",
             f"int {name}(\n    {_arguments(graph, name)});\n",
