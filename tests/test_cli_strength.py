@@ -240,7 +240,7 @@ def test_mattes_may_be_in_a_file_of_their_own(tmp_path):
         (("--objects-only", "--subframes", "s.####.exr"), "--objects-only: with --subframes"),
         (
             ("--objects-only", "--camera", "header"),
-            "fit the camera to the vectors with --camera fit",
+            "take --camera fit, which finds it from the vectors",
         ),
     ],
 )

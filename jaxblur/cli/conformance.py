@@ -88,7 +88,7 @@ def _verdict(findings: Any) -> str:
 
 
 def _read(path: Any, arguments: argparse.Namespace, color: Any) -> Any:
-    """The color of a frame beside, with as many channels as both have."""
+    """The color of a frame beside, of the same size and channels."""
     from jaxblur import exr
 
     other = exr.read_image(path, arguments.layer)

@@ -23,7 +23,7 @@ from .arguments import (
 from .console import print_line, print_table
 from .errors import is_foreseeable, message_of
 from .filtering import DEFAULT_FILTER
-from .names import names_of, print_names
+from .matte_names import names_of, print_names
 from .sequence import FAILED, frames_on_disk
 from .sources import add_channel_options, add_vector_options
 

@@ -26,7 +26,7 @@ def add_option(parser: argparse.ArgumentParser) -> None:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Reject the option where nothing holds Cryptomattes, and warn of those that stay sharp.
+    """Reject the option where nothing can hold Cryptomattes.
 
     Args:
         arguments: of the command.

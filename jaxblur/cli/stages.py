@@ -327,14 +327,14 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+    if loaded.layers:
+        return _blur_layers(chosen, loaded, seed)
     more: dict[str, Any] = {}
     if loaded.neighbors and takes_neighbors(chosen.name):
         given = {side: source.buffers.frame() for side, source in loaded.neighbors.items()}
         more = {**given, "shutter": loaded.shutter}
     if loaded.exposure is not None:
         more["exposure"] = loaded.exposure.shutter()
-    if loaded.layers:
-        return _blur_layers(chosen, loaded, seed)
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
 
 

@@ -261,7 +261,7 @@ def _fitted(arguments: argparse.Namespace, frame: Any) -> Any:
     """The motion of the camera by the vectors of the frame."""
     import jaxblur
 
-    remedy = "fit the camera to the vectors with --camera fit, or give it with --camera FILE.json"
+    remedy = "give the cameras with --camera FILE.json"
     try:
         fit = jaxblur.fit_camera_motion(frame)
     except ValueError as error:
@@ -301,10 +301,8 @@ def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:
         for side in (-1, 1):
             beside = numbers[side]
             views[side] = None if beside is None else _header_view(_numbered(path, beside))
-        said, remedy = (
-            "of the headers",
-            "fit the camera to the vectors with --camera fit, or give it with --camera FILE.json",
-        )
+        said = "of the headers"
+        remedy = "take --camera fit, which finds it from the vectors, or --camera FILE.json"
         if arguments.camera != "header" and (views[0] is None or views[-1] is views[1] is None):
             return None
     if views[0] is None or (views[-1] is None and views[1] is None):

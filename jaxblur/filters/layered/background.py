@@ -7,7 +7,7 @@ stretches, need nothing.) In order of preference, the color is that
 
 1. that which the caller gives (`hidden`, for experiments);
 2. that of the nearest surface that a neighbor frame has there, as far as it is in the same light
-   there, see `.neighbors.alike`;
+   there, see `.neighbors.light_of`;
 3. that of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
    right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
    from which the pixel's own motion would have come lies behind, for otherwise nothing was
