@@ -184,7 +184,7 @@ def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,b,c,\n", "line 2: 'c' is none of the two"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1\n", "line 2 is cut off"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,a,a,\n", "line 2"),
-        ("\0\xff", "has no column|cannot be read"),
+        ("\0\xff", "is no text"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, text, words):

@@ -226,10 +226,11 @@ def least_significant_difference(stimuli: int, rounds: int, alpha: float = 0.01)
         >>> [least_significant_difference(t, n) for t, n in ((5, 20), (9, 21), (5, 32), (9, 18))]
         [24, 36, 30, 33]
     """
-    if stimuli < 2 or rounds < 1 or not 0 < alpha < 1:
+    if not 0 < alpha < 1:
+        raise ValueError(f"`alpha` must be between 0 and 1, got {alpha}.")
+    if stimuli < 2 or rounds < 1:
         raise ValueError(
-            "`stimuli` must be at least 2, `rounds` 1, and `alpha` between 0 and 1; got "
-            f"{stimuli}, {rounds} and {alpha}."
+            f"`stimuli` must be at least 2 and `rounds` 1, got {stimuli} and {rounds}."
         )
     point = float(stats.studentized_range.ppf(1 - alpha, stimuli, math.inf))
     return math.ceil((point * math.sqrt(rounds * stimuli) + 0.5) / 2)

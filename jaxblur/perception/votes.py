@@ -100,7 +100,7 @@ def read_votes(paths: Iterable[str | pathlib.Path], least_right: float = 0.8) ->
             seen[key] = path
         rows += found
     if not rows:
-        raise ValueError("`paths` must name at least one file with votes.")
+        raise ValueError("`paths` must name at least one file with votes; these hold none.")
     right = _right_answers(rows)
     left_out = {observer: share for observer, share in right.items() if share < least_right}
     kept = [row for row in rows if row["observer"] not in left_out]
@@ -115,6 +115,8 @@ def read_votes(paths: Iterable[str | pathlib.Path], least_right: float = 0.8) ->
 
 def _rows(path: pathlib.Path) -> list[dict[str, str]]:
     """The lines of a file of votes."""
+    if not path.is_file():
+        raise JaxblurIOError(path, "is a folder." if path.is_dir() else "no such file.")
     try:
         if path.stat().st_size > MOST_BYTES:
             raise JaxblurIOError(path, "is too large for a file of votes.")
@@ -128,7 +130,9 @@ def _rows(path: pathlib.Path) -> list[dict[str, str]]:
                     "saved.",
                 )
             rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise JaxblurIOError(path, "is no text; give what the study page saved.") from error
+    except (OSError, csv.Error) as error:
         raise JaxblurIOError(path, f"cannot be read as CSV: {error}.") from error
     for number, row in enumerate(rows, start=2):
         if any(row[name] is None for name in COLUMNS):
