@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .filters.registry import FilterInfo, filter_info
+from .filters.registry import FilterInfo, Parameters, filter_info
 from .frame import Frame, check_frame_type
 from .noise import Noise
 from .settings import Settings, checked_settings
@@ -20,9 +20,9 @@ NOISE_AXES = {"tap": 3, "tile": 4}
 
 
 def blur_batch(
-    filter: str | Callable[..., Any],
+    filter: str | Callable[..., jax.Array],
     frames: Frame | Sequence[Frame],
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     *,
     settings: Settings | None = None,
     noise: Noise | None = None,
@@ -74,9 +74,9 @@ def blur_batch(
 
 
 def blur_subframes(
-    filter: str | Callable[..., Any],
+    filter: str | Callable[..., jax.Array],
     frames: Frame | Sequence[Frame],
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     *,
     settings: Settings | None = None,
     noise: Noise | None = None,
@@ -148,7 +148,7 @@ def _by_kind(
 @functools.partial(jax.jit, static_argnames=("info", "settings", "chunk"))
 def _blur_batch(
     frames: Frame,
-    parameters: Any,
+    parameters: Parameters | None,
     noise: Noise | None,
     *,
     info: FilterInfo,

@@ -20,7 +20,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from .batch import blur_batch, has_frame_axis
-from .filters.registry import FilterInfo, filter_info
+from .filters.registry import FilterInfo, Parameters, filter_info
 from .frame import Frame, check_frame_type
 from .noise import Noise, resolve_noise
 from .settings import Settings, checked_settings
@@ -29,14 +29,14 @@ AXIS = "device"
 
 
 def blur_frames(
-    filter: str | Callable[..., Any],
+    filter: str | Callable[..., jax.Array],
     frames: Frame,
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     *,
     settings: Settings | None = None,
     noise: Noise | None = None,
     chunk: int = 1,
-    devices: Sequence[Any] | None = None,
+    devices: Sequence[object] | None = None,
 ) -> Float[Array, "frames height width channels"]:
     """Blur frames that are stacked on a leading axis, every device its share of them.
 
@@ -77,13 +77,13 @@ def _blur_frames(
 
 
 def blur_rows(
-    filter: str | Callable[..., Any],
+    filter: str | Callable[..., jax.Array],
     frame: Frame,
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     *,
     settings: Settings | None = None,
     noise: Noise | None = None,
-    devices: Sequence[Any] | None = None,
+    devices: Sequence[object] | None = None,
 ) -> Float[Array, "height width channels"]:
     """Blur one frame, every device a block of its rows.
 
@@ -132,7 +132,7 @@ def _blur_rows(
     # Shapes differ between the blocks at the border and the others, and each device runs one.
     branches = [functools.partial(_blur_window, info, settings, blocks, each) for each in windows]
 
-    def blur(rows: Any, parameters: Any) -> jax.Array:
+    def blur(rows: Any, parameters: Parameters | None) -> jax.Array:
         own = jax.tree.map(functools.partial(_with_halo, blocks=blocks), rows)
         return lax.switch(chosen[lax.axis_index(AXIS)], branches, own, parameters)
 
@@ -183,7 +183,10 @@ def plan_rows(height: int, devices: int, alignment: int, reach: int) -> Blocks:
 
 
 def row_reach(
-    filter: str | FilterInfo, parameters: Any, settings: Settings, curved: bool = False
+    filter: str | FilterInfo,
+    parameters: Parameters | None,
+    settings: Settings,
+    curved: bool = False,
 ) -> tuple[int, int]:
     """Number of rows to either side that the result of a row may depend on; columns likewise.
 
@@ -214,7 +217,7 @@ def _blur_window(
     blocks: Blocks,
     window: tuple[int, int],
     own: tuple[Frame, Noise],
-    parameters: Any,
+    parameters: Parameters | None,
 ) -> jax.Array:
     """Blur what lies inside the image of a block and its halo, and give the block."""
     start, end = window
@@ -232,11 +235,11 @@ def _with_halo(buffer: jax.Array, blocks: Blocks) -> jax.Array:
     return jnp.concatenate([above, buffer, below])
 
 
-def _devices(devices: Sequence[Any] | None) -> list[Any]:
+def _devices(devices: Sequence[object] | None) -> list[Any]:
     return list(jax.devices() if devices is None else devices)
 
 
-def _mesh(devices: Sequence[Any] | None) -> Mesh:
+def _mesh(devices: Sequence[object] | None) -> Mesh:
     return Mesh(np.asarray(_devices(devices)), (AXIS,))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from ._util.stages import Stage, Tell, untold
-from .filters.registry import FilterInfo, filter_info
+from .filters.registry import FilterInfo, Parameters, filter_info
 from .frame import Frame, check_frame, check_frame_type
 from .gradient_table import GradientCheck, GradientRow
 from .noise import Noise
@@ -74,7 +74,7 @@ def check_gradient(
     filter: str | Callable[..., jax.Array],
     frame: Frame,
     truth: ArrayLike,
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     *,
     settings: Settings | None = None,
     loss: Loss = squared_error,
@@ -268,16 +268,18 @@ def _checked_directions(directions: Mapping[str, Direction] | None) -> dict[str,
 
 def _of_parameters(info: FilterInfo, here: _Point, step: float) -> list[_Quantity]:
     """One quantity for each parameter."""
-    quantities = []
+    parameters, quantities = here.parameters, []
+    if parameters is None:
+        return []
     for name, entry in info.parameter_infos.items():
-        value = float(getattr(here.parameters, name))
+        value = float(getattr(parameters, name))
         if math.isfinite(entry.high):
             value = min(value, entry.high / (1 + step))
 
         def move(x: Any, name: str = name, value: float = value) -> _Point:
             # Of the type of the others: a weak one would trace the filter anew for each parameter.
             moved = jnp.asarray(value * (1 + x) if value else x, here.frame.color.dtype)
-            return here._replace(parameters=dataclasses.replace(here.parameters, **{name: moved}))
+            return here._replace(parameters=dataclasses.replace(parameters, **{name: moved}))
 
         quantities.append(_Quantity(name, value, move))
     return quantities
@@ -409,7 +411,7 @@ def _compile(info: FilterInfo, settings: Settings, loss: Loss) -> _Programs:
         return jax.jvp(lambda p: value(p, truth, noise), (point,), (tangent,))[1]
 
     def of_parameters(point: _Point, tangent: _Point, truth: jax.Array, noise: Noise) -> jax.Array:
-        def moved(parameters: Any) -> jax.Array:
+        def moved(parameters: Parameters | None) -> jax.Array:
             return value(point._replace(parameters=parameters), truth, noise)
 
         return jax.jvp(moved, (point.parameters,), (tangent.parameters,))[1]

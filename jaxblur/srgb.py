@@ -5,13 +5,19 @@ harmless input, so that derivatives are finite everywhere; at the joint the deri
 the linear segment.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    import jax
+    import numpy as np
+
+Array = TypeVar("Array", "jax.Array", "np.ndarray")
 
 LINEAR_JOINT = 0.0031308
 ENCODED_JOINT = 0.04045
 
 
-def encode(linear: Any) -> Any:
+def encode(linear: Array) -> Array:
     """Convert linear light to sRGB: 12.92 x up to x = 0.0031308, then 1.055 x^(1/2.4) - 0.055.
 
     Args:
@@ -30,7 +36,7 @@ def encode(linear: Any) -> Any:
     return namespace.where(straight, 12.92 * linear, 1.055 * base ** (1 / 2.4) - 0.055)
 
 
-def decode(encoded: Any) -> Any:
+def decode(encoded: Array) -> Array:
     """Convert sRGB values to linear light, the inverse of :func:`encode`.
 
     Args:

@@ -37,7 +37,7 @@ def refused(function, *arguments, **options):
     return message
 
 
-def parameters_of(name):
+def parameters_of(name) -> Any:
     return filter_info(name).make_parameters()
 
 

@@ -3,6 +3,7 @@
 import concurrent.futures
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ def runs(name, **options):
     return both
 
 
-def parameters_of(name):
+def parameters_of(name) -> Any:
     return jaxblur.filter_info(name).make_parameters()
 
 

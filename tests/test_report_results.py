@@ -52,6 +52,7 @@ def test_what_is_written_is_read_back(folder):
     assert (shot.name, shot.hashes) == ("a shot", {"frame.exr": "12ab"})
     np.testing.assert_allclose(shot.truth, truth, rtol=1e-3, atol=1e-4)
     slow, figures = shot.pictures
+    assert slow.image is not None
     np.testing.assert_allclose(slow.image, other, rtol=1e-3, atol=1e-4)
     assert (slow.milliseconds, slow.group, slow.published) == (20.0, "g", True)
     assert slow.settings == {"samples": 35}
@@ -63,6 +64,7 @@ def test_scores_are_those_of_the_metrics(folder):
     (picture, _) = read_result(folder).shots[0].pictures
     expected = metrics.compare(other, truth)
     assert picture.scores == pytest.approx(expected._asdict(), rel=1e-6)
+    assert picture.flip is not None
     assert picture.flip.mean() == pytest.approx(expected.flip, rel=1e-3)
 
 

@@ -32,7 +32,7 @@ SIZE, SHUTTER, TRUTH_SAMPLES = (72, 128), 1.5, 96
 TOLD = ("front_sharpness", "landing_tolerance", "own_tolerance")
 ALL = (*TOLD, "surface_sharpness", "distinct")
 info = filter_info("layered")
-DEFAULTS, SETTINGS = info.make_parameters(), info.settings
+DEFAULTS, SETTINGS = jaxblur.LayeredParameters(), info.settings
 STARTS = {
     "round values": {"front_sharpness": 10.0, "landing_tolerance": 1.0, "own_tolerance": 0.35},
     "soft": {"front_sharpness": 3.0, "landing_tolerance": 2.0, "own_tolerance": 1.0},

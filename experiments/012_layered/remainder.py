@@ -47,7 +47,7 @@ SCENES = (
 SIZE, SHUTTER, TRUTH_SAMPLES = (144, 256), 1.0, 192
 TIMES, SUBPIXELS, MANY = 33, 8, 350
 info = filter_info("layered")
-PARAMETERS, SETTINGS = info.make_parameters(), info.settings
+PARAMETERS, SETTINGS = jaxblur.LayeredParameters(), info.settings
 XLA = dataclasses.replace(SETTINGS, backend="xla")
 MISSING, JUMP = 0.1, 0.05
 

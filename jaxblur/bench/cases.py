@@ -2,11 +2,14 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 from ..filters.registry import FILTERS, FilterInfo, filter_info
 from ..settings import Settings, checked_settings
+
+if TYPE_CHECKING:
+    import jax
 
 UNBLURRED = "unblurred"
 RENDERERS = ("accumulate", "stochastic", "motion_paths")
@@ -85,7 +88,7 @@ def usual_settings(method: str) -> Settings:
     return Settings() if info is None else info.settings
 
 
-def make_case(method: str | Callable[..., Any], **changes: Any) -> Case:
+def make_case(method: "str | Callable[..., jax.Array]", **changes: object) -> Case:
     """A case that differs from the defaults.
 
     Args:
@@ -103,11 +106,13 @@ def make_case(method: str | Callable[..., Any], **changes: Any) -> Case:
         del changes["radius"]
     name = method if isinstance(method, str) else filter_info(method).name
     info = filter_of(name)
-    settings = Settings(**changes) if info is None else info.make_settings(**changes)
+    settings = (
+        Settings(**cast(dict[str, Any], changes)) if info is None else info.make_settings(**changes)
+    )
     return Case(name, settings, automatic)
 
 
-Axes = dict[str, Sequence[Any]]
+Axes = Mapping[str, Sequence[object]]
 """Values to try, by name of the setting."""
 
 

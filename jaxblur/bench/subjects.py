@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..frame import Frame, check_frame
-from ..metrics import motion_footprint, rgb
+from ..metrics import Image, motion_footprint, rgb
 from ..scenes import SCENES, accumulate, render
 from ..scenes.scene import Scene
 
@@ -91,7 +91,9 @@ def _load_scene(name: str, size: tuple[int, int], shutter: float, truth_samples:
     return Loaded(_on_device(frame), truth, scene)
 
 
-def frame_subject(name: str, frame: Frame, truth: Any = None, shutter: float = 0.5) -> Subject:
+def frame_subject(
+    name: str, frame: Frame, truth: Image | None = None, shutter: float = 0.5
+) -> Subject:
     """A frame at hand, such as one that was read from a file.
 
     Args:
@@ -109,11 +111,10 @@ def frame_subject(name: str, frame: Frame, truth: Any = None, shutter: float = 0
     frame = _on_device(check_frame(frame))
     height, width = frame.depth.shape
     size = height, width
-    shape = np.shape(truth)
-    if truth is not None and (len(shape) != 3 or shape[:2] != size):
+    if truth is not None and (truth.ndim != 3 or truth.shape[:2] != size):
         raise ValueError(
-            f"`truth` must have shape ({height}, {width}, channels) like the frame, got {shape}; "
-            "render both with the same data window."
+            f"`truth` must have shape ({height}, {width}, channels) like the frame, got "
+            f"{truth.shape}; render both with the same data window."
         )
     loaded = Loaded(frame, None if truth is None else rgb(truth))
     digest = hashlib.sha256()

@@ -58,7 +58,7 @@ def interquartile_range(values: Sequence[float]) -> float:
 
 
 def time_in_turn(
-    runs: Mapping[str, Callable[[], Any]],
+    runs: Mapping[str, Callable[[], object]],
     repeats: int,
     limit: float = math.inf,
     settle: bool = False,

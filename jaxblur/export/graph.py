@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
-from ..filters import FilterInfo
+from ..filters import FilterInfo, Parameters
 from ..frame import Frame
 from ..kernels import Pass, passes_as_equations
 from ..kernels.passes import pass_primitive
@@ -152,7 +152,7 @@ class Graph:
 
 def graph_of(
     info: FilterInfo,
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     settings: Settings | None = None,
     *,
     channels: int = 4,

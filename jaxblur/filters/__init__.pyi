@@ -17,6 +17,7 @@ from .registry import (
     FILTERS as FILTERS,
     Filter as Filter,
     FilterInfo as FilterInfo,
+    Parameters as Parameters,
     filter_info as filter_info,
     load_filter as load_filter,
     names as names,

@@ -20,22 +20,31 @@ import pathlib
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, cast, runtime_checkable
 
 from ..settings import Settings
 from .parameters import ParameterInfo, check_parameters_type, infos_of
 
 if TYPE_CHECKING:
     import jax
+    from jax.typing import ArrayLike
 
     from ..frame import Frame
     from ..noise import Noise
 
 ENTRY_POINTS = "jaxblur.filters"
+T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 _registered: dict[str, FilterInfo] = {}
+
+
+@runtime_checkable
+class Parameters(Protocol):
+    """Parameters of a filter: a dataclass that jax knows, such as `jaxblur.GuertinParameters`."""
+
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[object]]]
 
 
 @runtime_checkable
@@ -92,14 +101,14 @@ class FilterInfo:
 
     name: str
     summary: str
-    function: Callable[..., Any] | str
+    function: Callable[..., jax.Array] | str
     parameters: type | None = None
     settings: Settings = Settings()
-    check: Callable[[Any], None] | None = None
-    outcomes: Callable[..., Any] | str | None = None
-    smooth: Callable[[Any], Settings] | None = None
-    check_fit: Callable[[Sequence[str], Any, Mapping[str, float]], None] | None = None
-    row_reach: Callable[[Any, Any, bool], tuple[int, int]] | None = None
+    check: Callable[..., None] | None = None
+    outcomes: Callable[..., tuple[jax.Array, jax.Array]] | str | None = None
+    smooth: Callable[..., Settings] | None = None
+    check_fit: Callable[..., None] | None = None
+    row_reach: Callable[..., tuple[int, int]] | None = None
     reads_color: bool = False
     takes_neighbors: bool = False
     takes_shutter: bool = False
@@ -142,7 +151,7 @@ class FilterInfo:
         """The default of each parameter, by name; empty if there are none."""
         return {name: float(info.default) for name, info in self.parameter_infos.items()}
 
-    def make_parameters(self, **values: Any) -> Any:
+    def make_parameters(self, **values: ArrayLike) -> Parameters | None:
         """The parameters as the filter takes them.
 
         Args:
@@ -161,7 +170,9 @@ class FilterInfo:
         # Loading the filter makes its parameters known to jax.
         return self.parameters(**values) if self.call and self.parameters else None
 
-    def checked_parameters(self, parameters: Any, argument: str = "parameters") -> Any:
+    def checked_parameters(
+        self, parameters: object, argument: str = "parameters"
+    ) -> Parameters | None:
         """Parameters as the filter takes them; None stands for the defaults.
 
         Args:
@@ -177,13 +188,13 @@ class FilterInfo:
         if parameters is None:
             return self.make_parameters()
         check_parameters_type(parameters, self.parameters, self.name, argument)
-        return parameters
+        return cast("Parameters", parameters)
 
     def smooth_settings(self, settings: Settings) -> Settings:
         """The differentiable form of some settings; the same ones if the filter has no other."""
         return settings if self.smooth is None else self.smooth(settings)
 
-    def make_settings(self, **changes: Any) -> Settings:
+    def make_settings(self, **changes: object) -> Settings:
         """The default settings with changes.
 
         Args:
@@ -257,7 +268,7 @@ def unregister(name: str) -> None:
     del _registered[info.name]
 
 
-def filter_info(filter: str | Callable[..., Any]) -> FilterInfo:
+def filter_info(filter: str | Callable[..., jax.Array]) -> FilterInfo:
     """The record of a registered filter.
 
     Args:
@@ -282,7 +293,9 @@ def filter_info(filter: str | Callable[..., Any]) -> FilterInfo:
     )
 
 
-def _find(filter: str | Callable[..., Any], filters: Mapping[str, FilterInfo]) -> FilterInfo | None:
+def _find(
+    filter: str | Callable[..., jax.Array], filters: Mapping[str, FilterInfo]
+) -> FilterInfo | None:
     if isinstance(filter, str):
         return filters.get(filter)
     for info in filters.values():
@@ -378,7 +391,7 @@ def _is_reference(value: object) -> bool:
     return isinstance(value, str) and re.fullmatch(r"[\w.]+:\w+", value) is not None
 
 
-def _resolve(function: Callable[..., Any] | str) -> Callable[..., Any]:
+def _resolve(function: Callable[..., T] | str) -> Callable[..., T]:
     if not isinstance(function, str):
         return function
     module, _, attribute = function.partition(":")

@@ -1,15 +1,16 @@
 """Errors of a filter on image pairs, in the settings of the run and with its own noise."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from .. import metrics
 from ..batch import blur_batch
+from ..filters.registry import Parameters
 from ..frame import Frame
 from ..settings import Settings
 from .objective import draw_noise
@@ -18,7 +19,12 @@ from .result import Score
 
 
 def images(
-    filter_name: str, parameters: Any, pair: Pair, settings: Settings, key: jax.Array, draws: int
+    filter_name: str,
+    parameters: Parameters | None,
+    pair: Pair,
+    settings: Settings,
+    key: jax.Array,
+    draws: int,
 ) -> Float[Array, "draws height width channels"]:
     """Run the filter on a frame with several draws of noise.
 
@@ -45,8 +51,8 @@ def images(
 
 def evaluate(
     filter_name: str,
-    parameters: Any,
-    pairs: Sequence[Pair | tuple[Frame, Any]],
+    parameters: Parameters | None,
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]],
     settings: Settings,
     key: jax.Array,
     draws: int,
@@ -95,8 +101,8 @@ def _score(
 
 def display_error(
     filter_name: str,
-    parameters: Any,
-    pairs: Sequence[Pair | tuple[Frame, Any]],
+    parameters: Parameters | None,
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]],
     settings: Settings,
     key: jax.Array,
     draws: int,

@@ -4,16 +4,20 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from .. import metrics
 from ..frame import Frame, check_frame, check_frame_type
 from .losses import Pixel, inner_pixels
 from .objective import Batch
+
+Mask = Literal["moving"] | Sequence[ArrayLike] | None
+"""Pixels that count: all, those that motion reaches, or (H, W) booleans for each pair."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +47,7 @@ class Pair:
 
 
 def make_pairs(
-    pairs: Sequence[Pair | tuple[Frame, Any]], names: Sequence[str] | None = None
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]], names: Sequence[str] | None = None
 ) -> list[Pair]:
     """Check pairs and keep the parts that the fit needs.
 
@@ -145,7 +149,7 @@ def _refuse_non_finite(name: str, what: str, good: np.ndarray) -> None:
         )
 
 
-def pixel_weights(pairs: Sequence[Pair], mask: Any, pixel: Pixel) -> list[np.ndarray]:
+def pixel_weights(pairs: Sequence[Pair], mask: Mask, pixel: Pixel) -> list[np.ndarray]:
     """Weight of each pixel: equal for all pairs, and within a pair for all pixels of its mask.
 
     Args:
@@ -175,7 +179,7 @@ def pixel_weights(pairs: Sequence[Pair], mask: Any, pixel: Pixel) -> list[np.nda
     return weights
 
 
-def _masks(pairs: Sequence[Pair], mask: Any) -> list[np.ndarray]:
+def _masks(pairs: Sequence[Pair], mask: Mask) -> list[np.ndarray]:
     if mask is None:
         return [np.ones(pair.truth.shape[:2], bool) for pair in pairs]
     if isinstance(mask, str):

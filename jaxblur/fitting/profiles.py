@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from .. import show
@@ -15,7 +16,7 @@ from .constraints import constraints_of, to_free, to_values
 from .descent import Task
 from .objective import Objective
 from .optimization import polish
-from .pairs import Pair, make_batches, make_pairs, pixel_weights
+from .pairs import Mask, Pair, make_batches, make_pairs, pixel_weights
 from .result import FitResult
 
 SPAN = 1.0
@@ -63,12 +64,12 @@ class Profile:
 
 def profile(
     result: FitResult,
-    pairs: Sequence[Pair | tuple[Frame, Any]],
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]],
     name: str,
     *,
     values: Sequence[float] | np.ndarray | None = None,
     refit: bool = False,
-    mask: Any = None,
+    mask: Mask = None,
     key: jax.Array | None = None,
 ) -> Profile:
     """Scan the loss of a fit along one of its free parameters.

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._util.atomic import replacing
-from ..filters.registry import filter_info
+from ..filters.registry import Parameters, filter_info
 from ..settings import GuertinSettings, Settings
 
 SCHEMA = 1
@@ -145,7 +145,7 @@ class FitResult:
     warnings: tuple[str, ...] = ()
 
     @property
-    def filter_parameters(self) -> Any:
+    def filter_parameters(self) -> Parameters | None:
         """The parameters as the filter takes them."""
         return filter_info(self.filter).make_parameters(**self.parameters)
 

@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.typing import ArrayLike
 
 import jaxblur
 
 from .._util.stages import Stage, Tell, untold
-from ..filters.registry import FilterInfo, filter_info
+from ..filters.registry import FilterInfo, Parameters, filter_info
 from ..frame import Frame
 from ..settings import Settings, checked_settings
 from .constraints import starting_values, to_free, to_values
@@ -35,7 +36,7 @@ from .evaluation import evaluate
 from .losses import Over, Pixel, check_loss
 from .objective import NoiseMode, Objective
 from .optimization import optimize
-from .pairs import Pair, make_batches, make_pairs, pixel_weights
+from .pairs import Mask, Pair, make_batches, make_pairs, pixel_weights
 from .priors import Prior
 from .result import Data, FitResult, Score
 from .sensitivity import sensitivity
@@ -49,14 +50,14 @@ FITTING, EVALUATION, SENSITIVITY = 0, 1, 2
 
 
 def fit(
-    filter: str | Callable[..., Any],
-    pairs: Sequence[Pair | tuple[Frame, Any]],
+    filter: str | Callable[..., jax.Array],
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]],
     *,
-    initial: Any = None,
+    initial: Parameters | Mapping[str, float] | None = None,
     free: Sequence[str] | None = None,
     loss: Literal["auto"] | Over = "auto",
     pixel: Pixel = "mse",
-    mask: Any = None,
+    mask: Mask = None,
     settings: Settings | None = None,
     noise: NoiseMode = "fresh",
     noise_draws: int = 1,
@@ -222,7 +223,7 @@ def _judged(
 
 
 def _choices(
-    objective: Objective, mask: Any, key: jax.Array, prior: float
+    objective: Objective, mask: Mask, key: jax.Array, prior: float
 ) -> dict[str, str | int | float]:
     """The choices about the loss, for the report."""
     names = {"over": "loss", "pixel": "pixel", "noise": "noise", "noise_draws": "noise_draws"}
@@ -242,10 +243,12 @@ def _with_prior(task: Task, published: Mapping[str, float], strength: float) -> 
     return dataclasses.replace(task, prior=Prior(center, strength * loss))
 
 
-def _start(info: FilterInfo, initial: Any) -> dict[str, float]:
-    given = initial if isinstance(initial, Mapping) else {}
-    if initial is not None and given is not initial:
-        given = vars(info.checked_parameters(initial, "initial")) if info.parameters else {}
+def _start(info: FilterInfo, initial: Parameters | Mapping[str, float] | None) -> dict[str, float]:
+    given: Mapping[str, float] = {}
+    if isinstance(initial, Mapping):
+        given = initial
+    elif initial is not None and info.parameters:
+        given = vars(info.checked_parameters(initial, "initial"))
     _check_names("initial", info, given)
     return info.defaults | {name: float(value) for name, value in given.items()}
 

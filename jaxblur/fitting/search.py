@@ -4,12 +4,13 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 
-from ..filters.registry import FilterInfo, filter_info
+from ..filters.registry import FilterInfo, Parameters, filter_info
 from ..frame import Frame
 from ..settings import Settings, checked_settings
 from ..vectors import speed_statistics
@@ -52,9 +53,9 @@ class SettingsSearch:
 
 
 def search_settings(
-    filter: str | Callable[..., Any],
-    pairs: Sequence[Pair | tuple[Frame, Any]],
-    parameters: Any = None,
+    filter: str | Callable[..., jax.Array],
+    pairs: Sequence[Pair | tuple[Frame, ArrayLike]],
+    parameters: Parameters | None = None,
     *,
     samples: Sequence[int] = (9, 15, 25, 35),
     radius: Sequence[int | Literal["auto"]] = ("auto",),
@@ -118,7 +119,11 @@ def _automatic(pairs: Sequence[Pair]) -> int:
 
 
 def _milliseconds(
-    info: FilterInfo, parameters: Any, pairs: Sequence[Pair], settings: Settings, repeats: int
+    info: FilterInfo,
+    parameters: Parameters | None,
+    pairs: Sequence[Pair],
+    settings: Settings,
+    repeats: int,
 ) -> float:
     blur = info.call
     medians = []

@@ -22,7 +22,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..filters.registry import filter_info
+from ..filters.registry import Parameters, filter_info
 from ..frame import Frame, check_frame_type
 from ..settings import Settings
 from .statistics import FrameStatistics, frame_statistics
@@ -47,7 +47,7 @@ class Plan:
 
     filter: str
     settings: Settings
-    parameters: Any
+    parameters: Parameters | None
     reason: str
     loss: float
     spread: float

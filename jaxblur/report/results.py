@@ -29,7 +29,7 @@ import math
 import pathlib
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from .._util.atomic import replacing
 from .._util.errors import JaxblurIOError
 from .._util.text import printable
 from ..exr import Conversion, check_view, read_image, write_image
+
+if TYPE_CHECKING:
+    import jax
 
 SCHEMA = 1
 MANIFEST = "result.json"
@@ -68,13 +71,13 @@ class Picture:
     """
 
     method: str
-    image: Any = None
+    image: "np.ndarray | jax.Array | None" = None
     milliseconds: float | None = None
     scores: Mapping[str, float] = dataclasses.field(default_factory=dict)
     settings: Values = dataclasses.field(default_factory=dict)
     group: str = ""
     published: bool = False
-    flip: Any = None
+    flip: "np.ndarray | jax.Array | None" = None
     sha256: str | None = None
 
 
@@ -91,7 +94,7 @@ class Shot:
     """
 
     name: str
-    truth: Any
+    truth: "np.ndarray | jax.Array"
     pictures: Sequence[Picture]
     hashes: Mapping[str, str] = dataclasses.field(default_factory=dict)
     sha256: str | None = None

@@ -38,7 +38,7 @@ def frame_sheet(frame: Frame) -> "Figure":
     return figure
 
 
-def display(image: Any) -> np.ndarray:
+def display(image: metrics.Image) -> np.ndarray:
     """Convert linear light to display values as the whole package does; see `metrics.display`.
 
     Args:
@@ -78,7 +78,7 @@ def depth_map(frame: Frame, *, axes: "Axes | None" = None) -> "Figure":
     return figure
 
 
-def fastest(velocity: Any) -> float:
+def fastest(velocity: metrics.Image) -> float:
     """Find the speed of full saturation: that of the fastest finite vector, at least 1.
 
     Args:

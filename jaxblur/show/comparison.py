@@ -1,7 +1,7 @@
 """Results beside their truth: named pictures, and error heat maps with a scale."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ TITLE = 0.3
 
 
 def image_grid(
-    images: Mapping[str, Any], columns: int | None = None, *, width: float = WIDTH
+    images: Mapping[str, metrics.Image], columns: int | None = None, *, width: float = WIDTH
 ) -> "Figure":
     """Draw pictures under their names.
 
@@ -52,8 +52,8 @@ def image_grid(
 
 
 def error_map(
-    image: Any,
-    truth: Any,
+    image: metrics.Image,
+    truth: metrics.Image,
     *,
     kind: Literal["flip", "display"] = "flip",
     limit: float | None = None,
@@ -94,7 +94,12 @@ def error_map(
 
 
 def before_after(
-    sharp: Any, blurred: Any, truth: Any, *, name: str = "blurred", limit: float | None = None
+    sharp: metrics.Image,
+    blurred: metrics.Image,
+    truth: metrics.Image,
+    *,
+    name: str = "blurred",
+    limit: float | None = None,
 ) -> "Figure":
     """Draw the sharp frame, the result, the truth, and the FLIP map of the result.
 

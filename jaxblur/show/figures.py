@@ -2,9 +2,12 @@
 
 from typing import TYPE_CHECKING, Any
 
+from jax.typing import ArrayLike
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 
 def new_figure(width: float, height: float) -> "Figure":
@@ -55,7 +58,7 @@ def figure_and_axes(
     return figure, axes
 
 
-def show_pixels(axes: "Axes", display: Any, title: str = "") -> Any:
+def show_pixels(axes: "Axes", display: ArrayLike, title: str = "") -> "AxesImage":
     """Draw display values, one square for each pixel, without ticks.
 
     Args:

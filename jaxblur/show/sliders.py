@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 
-def sliders(draw: Callable[..., Any], **ranges: tuple[float, float, float]) -> Any:
+def sliders(draw: Callable[..., object], **ranges: tuple[float, float, float]) -> object:
     """Call a drawing function with values from sliders.
 
     In a live notebook with ipywidgets (``jaxblur[notebook]``) each value has a slider, and the

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import jax
@@ -9,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..filters.registry import FilterInfo, filter_info
+from ..filters.guertin2014 import GuertinParameters
+from ..filters.registry import FilterInfo, Parameters, filter_info
 from ..filters.taps import taps_at
 from ..filters.tiles import dominant_velocity, tile_max
 from ..frame import Frame
@@ -116,7 +118,7 @@ def texel_weights(
     row: int,
     column: int,
     *,
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     settings: Settings | None = None,
     noise: Noise | None = None,
 ) -> Float[np.ndarray, "height width"]:
@@ -165,7 +167,7 @@ def _texel_weights(
     frame: Frame,
     row: jax.Array,
     column: jax.Array,
-    parameters: Any,
+    parameters: Parameters | None,
     settings: Settings,
     noise: Noise | None,
 ) -> jax.Array:
@@ -184,7 +186,7 @@ def tap_diagram(
     column: int,
     *,
     name: str = "guertin2014",
-    parameters: Any = None,
+    parameters: Parameters | None = None,
     settings: Settings | None = None,
     noise: Noise | None = None,
     axes: "Axes | None" = None,
@@ -230,11 +232,11 @@ def tap_diagram(
     return figure
 
 
-def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: dict[str, Any]) -> None:
+def _draw_taps(axes: Any, frame: Frame, row: int, column: int, options: Mapping[str, Any]) -> None:
     """Draw the two lines of guertin2014 with their taps, and the pixel's own velocity."""
     info = filter_info("guertin2014")
     parameters, settings = options["parameters"], options["settings"]
-    parameters = info.make_parameters() if parameters is None else parameters
+    parameters = GuertinParameters() if parameters is None else parameters
     settings = info.settings if settings is None else settings
     taps: Any = taps_at(frame, parameters, row, column, settings=settings, noise=options["noise"])
     taps = jax.tree.map(np.asarray, taps)
