@@ -197,7 +197,7 @@ import runpy, sys
 
 class Interrupted:
     def find_spec(self, name, *_):
-        if name == "jaxblur.cli.vectors":
+        if name == "jaxblur.cli.commands.vectors":
             raise KeyboardInterrupt
 
 sys.meta_path.insert(0, Interrupted())

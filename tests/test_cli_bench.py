@@ -8,7 +8,7 @@ import pytest
 
 import jaxblur
 from jaxblur import bench, exr
-from jaxblur.cli.bench import OTHERS
+from jaxblur.cli.commands.bench import OTHERS
 from tests.command_line import refused, run
 from tests.helpers import random_frame
 

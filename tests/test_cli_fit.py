@@ -10,7 +10,7 @@ import pytest
 import jaxblur
 from jaxblur import exr
 from jaxblur.cli.arguments import CommandError
-from jaxblur.cli.fit import held_out
+from jaxblur.cli.commands.fit import held_out
 from jaxblur.fitting import STAGES
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, write_single

@@ -5,7 +5,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, scenes
-from jaxblur.cli import demo
+from jaxblur.cli.commands import demo
 from tests.command_line import refused, run
 
 SIZE = (72, 128)

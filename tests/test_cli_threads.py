@@ -36,7 +36,8 @@ def test_threads_that_run_and_that_start_are_limited():
 
 def test_the_command_uses_one_core(tmp_path):
     code = (
-        "import os, sys; from jaxblur.cli import sequence, blur, main; run = blur.run_single\n"
+        "import os, sys; from jaxblur.cli import main; from jaxblur.cli.commands import blur\n"
+        "run = blur.run_single\n"
         "def counted(*given):\n"
         "    status = run(*given)\n"
         "    threads = os.listdir('/proc/self/task')\n"

@@ -332,7 +332,14 @@ def test_a_candidate_that_points_outside_the_picture_gains_nothing():
     ranking = vectors.rank_conventions(now, following, vector)
     best = ranking.candidates[0]
     assert (best.sign_x, best.sign_y, best.unit, best.span) == (1, 1, "px", 1.0)
-    assert ranking.undecided == ()
+    assert ranking.undecided == () and ranking.is_explained
+
+
+def test_candidates_that_leave_most_of_the_difference_explain_nothing():
+    rng = np.random.default_rng(2)
+    unrelated = rng.random((2, 40, 60, 3))
+    vector = np.full((40, 60, 2), (6, 3), np.float32)
+    assert not vectors.rank_conventions(*unrelated, vector).is_explained
 
 
 def test_ranking_finds_blender_vectors_in_a_rendered_pair():

@@ -1,6 +1,7 @@
-"""The command line: parse, call, write; one module for each command.
+"""The command line: parse, call, write.
 
-Imports any part of jaxblur.
+Imports any part of jaxblur. `commands` has one file for each command; what several of them share
+stands beside it.
 
 Exit status: 0 done, 1 some frames of a sequence are not (or the answer is no: something is slower,
 no vectors fit), 2 wrong usage or input (nothing was written), 130 interrupted, 141 the reader of

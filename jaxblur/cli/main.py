@@ -13,7 +13,9 @@ from typing import Any
 import jaxblur
 from jaxblur._util.text import one_line, printable
 
-from . import (
+from . import shutter
+from .arguments import Parser, in_option_names
+from .commands import (
     bench,
     blur,
     demo,
@@ -25,12 +27,10 @@ from . import (
     post,
     report,
     scene,
-    shutter,
     study,
     vectors,
     votes,
 )
-from .arguments import Parser, in_option_names
 from .errors import is_foreseeable, message_of
 from .interrupts import never_lost, with_termination
 

@@ -8,8 +8,6 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-from .vectors import is_explained
-
 LOG = logging.getLogger("jaxblur")
 
 PAIRS = 3
@@ -61,7 +59,7 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
             return
         for pair in pairs:
             ranking = _ranked(arguments, pair, channels)
-            if ranking is not None and is_explained(ranking) and not ranking.undecided:
+            if ranking is not None and ranking.is_explained and not ranking.undecided:
                 _adopt(arguments, pair, known, ranking)
                 return
     except exr.JaxblurIOError as error:

@@ -31,6 +31,8 @@ ERROR_CAP = 0.5
 # Candidates are equally good if their errors differ by less than this share of the error that the
 # best one removes.
 TIE = 0.02
+# The best candidate explains the motion if it leaves at most this share of the difference.
+EXPLAINED = 0.8
 _MEANING = {
     "sign_x": "the sign of x",
     "sign_y": "the sign of y",
@@ -81,6 +83,11 @@ class Ranking:
     candidates: tuple[Candidate, ...]
     still_error: float
     moving_share: float
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the best candidate brings the frames together."""
+        return self.candidates[0].error <= EXPLAINED * self.still_error
 
     @property
     def undecided(self) -> tuple[str, ...]:

@@ -5,8 +5,8 @@ import json
 import logging
 from typing import Any
 
-from .arguments import CommandError, add_command, file_path
-from .console import print_line, print_table
+from ..arguments import CommandError, add_command, file_path
+from ..console import print_line, print_table
 
 LOG = logging.getLogger("jaxblur")
 

@@ -4,7 +4,7 @@ import argparse
 import pathlib
 from collections.abc import Mapping
 
-from .arguments import CommandError
+from ..arguments import CommandError
 
 NAME = "smoke"
 LAYERS = 2

@@ -8,8 +8,8 @@ from typing import Any
 
 from jaxblur._util.atomic import replacing
 
-from . import sources
-from .arguments import (
+from .. import sources
+from ..arguments import (
     CommandError,
     add_command,
     add_compute_options,
@@ -18,9 +18,9 @@ from .arguments import (
     file_path,
     positive_number,
 )
-from .compute import start_jax
-from .console import print_line
-from .filtering import (
+from ..compute import start_jax
+from ..console import print_line
+from ..filtering import (
     add_filter_options,
     add_nonfinite_option,
     complete,
@@ -28,7 +28,7 @@ from .filtering import (
     find_filter,
     report_ignored,
 )
-from .sources import add_source_options, add_vector_options
+from ..sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

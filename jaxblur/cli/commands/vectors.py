@@ -8,8 +8,7 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from . import conformance
-from .arguments import (
+from ..arguments import (
     CommandError,
     add_command,
     channel_names,
@@ -17,12 +16,10 @@ from .arguments import (
     positive_integer,
     preset_name,
 )
-from .console import print_line, print_table
-from .shutter import add_exposure, add_fps
-from .sources import add_max_displace
-
-# The best candidate must explain the motion: leave at most this share of the difference.
-EXPLAINED = 0.8
+from ..console import print_line, print_table
+from ..shutter import add_exposure, add_fps
+from ..sources import add_max_displace
+from . import vectors_conform
 
 
 def add_parser(commands: Any) -> None:
@@ -82,11 +79,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.conform is not None:
         _check_beside(arguments, "next", "follows")
         _check_beside(arguments, "previous", "comes before")
-        return conformance.run(arguments)
+        return vectors_conform.run(arguments)
     if arguments.previous is not None:
         raise CommandError("--previous: is for --conform PRESET.")
     ranking = _rank(arguments)
-    explained = is_explained(ranking)
+    explained = ranking.is_explained
     undecided = ranking.undecided
     if arguments.json:
         print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
@@ -97,11 +94,6 @@ def run(arguments: argparse.Namespace) -> int:
                 print_line(both)
             print_line(f"to blur: {_command(arguments, ranking.candidates[0])}")
     return 0 if explained and not undecided else 1
-
-
-def is_explained(ranking: Any) -> bool:
-    """Whether the best candidate of a `jaxblur.vectors.Ranking` brings the frames together."""
-    return ranking.candidates[0].error <= EXPLAINED * ranking.still_error
 
 
 def _next_as_option(given: Sequence[str], left: Sequence[str]) -> str:

@@ -12,20 +12,20 @@ from typing import Any
 
 from jaxblur.filters.registry import filter_info
 
-from . import isolation
-from .arguments import (
+from .. import isolation
+from ..arguments import (
     add_command,
     describe_presets,
     file_path,
     in_option_names,
     positive_integer,
 )
-from .console import print_line, print_table
-from .errors import is_foreseeable, message_of
-from .filtering import DEFAULT_FILTER
-from .matte_names import names_of, print_names
-from .sequence import FAILED, frames_on_disk
-from .sources import add_channel_options, add_vector_options
+from ..console import print_line, print_table
+from ..errors import is_foreseeable, message_of
+from ..filtering import DEFAULT_FILTER
+from ..sequence import FAILED, frames_on_disk
+from ..sources import add_channel_options, add_vector_options
+from .info_mattes import names_of, print_names
 
 LOG = logging.getLogger("jaxblur")
 

@@ -5,10 +5,10 @@ import logging
 import pathlib
 from typing import Any
 
-from .arguments import CommandError, add_command, add_compute_options, check_folder, file_path
-from .compute import start_jax
-from .console import print_line
-from .filtering import add_filter_options, complete, describe_filters, find_filter
+from ..arguments import CommandError, add_command, add_compute_options, check_folder, file_path
+from ..compute import start_jax
+from ..console import print_line
+from ..filtering import add_filter_options, complete, describe_filters, find_filter
 
 LOG = logging.getLogger("jaxblur")
 

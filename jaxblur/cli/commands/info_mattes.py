@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .console import print_line, print_table
+from ..console import print_line, print_table
 
 LISTED = 20
 """Names that are listed without ``-v``."""

@@ -10,8 +10,7 @@ from typing import Any
 
 import jaxblur
 
-from . import smoke
-from .arguments import (
+from ..arguments import (
     CommandError,
     add_command,
     add_compute_options,
@@ -22,9 +21,10 @@ from .arguments import (
     frame_numbers,
     positive_integer,
 )
-from .compute import start_jax
-from .console import print_line, print_table, track
-from .shutter import add_exposure, add_fps
+from ..compute import start_jax
+from ..console import print_line, print_table, track
+from ..shutter import add_exposure, add_fps
+from . import scene_smoke
 
 LOG = logging.getLogger("jaxblur")
 
@@ -62,7 +62,7 @@ def add_parser(commands: Any) -> None:
         "--layers",
         type=positive_integer,
         metavar="N",
-        help=f"of smoke only: layers of smoke, 1 or an even number (default {smoke.LAYERS})",
+        help=f"of smoke only: layers of smoke, 1 or an even number (default {scene_smoke.LAYERS})",
     )
     parser.add_argument("--ids", action="store_true", help="write NAME_id.####.exr, object numbers")
     parser.add_argument("--truth", action="store_true", help="write NAME_truth.####.exr too")
@@ -87,11 +87,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.shutter > 0:
         raise CommandError(f"--shutter must be above 0, got {arguments.shutter:g}.")
     check_folder(arguments.output)
-    is_smoke = arguments.name == smoke.NAME
+    is_smoke = arguments.name == scene_smoke.NAME
     if arguments.layers and not is_smoke:
-        raise CommandError(f"--layers: only {smoke.NAME} has layers, {arguments.name} has none.")
+        raise CommandError(
+            f"--layers: only {scene_smoke.NAME} has layers, {arguments.name} has none."
+        )
     kinds = [""] + ["_id"] * arguments.ids + ["_truth"] * arguments.truth
-    kinds = smoke.kinds(arguments) if is_smoke else kinds
+    kinds = scene_smoke.kinds(arguments) if is_smoke else kinds
     check_outputs(
         (_path(arguments, kind, frame) for frame in arguments.frames for kind in kinds),
         arguments.overwrite,
@@ -105,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         started = time.perf_counter()
         if is_smoke:
             paths = {kind: _path(arguments, kind, frame) for kind in kinds}
-            smoke.write_smoke(arguments, paths, frame, _notes(arguments, frame))
+            scene_smoke.write_smoke(arguments, paths, frame, _notes(arguments, frame))
         else:
             _write_frame(scene, arguments, frame)
         print_line(_path(arguments, "", frame))
@@ -157,7 +159,7 @@ def _print_catalogue() -> None:
     print_table(
         ("scene", "what it shows"),
         [(name, (inspect.getdoc(make) or "").partition("\n")[0]) for name, make in SCENES.items()]
-        + [(smoke.NAME, smoke.line_about_it())],
+        + [(scene_smoke.NAME, scene_smoke.line_about_it())],
     )
 
 

@@ -3,8 +3,8 @@
 import argparse
 from typing import Any
 
-from . import blur, isolation, layer_reading, sequence, stack, stages, strength
-from .arguments import (
+from .. import isolation, layer_reading, sequence, stack, stages, strength
+from ..arguments import (
     PNG_TRANSFORM,
     CommandError,
     add_command,
@@ -13,8 +13,8 @@ from .arguments import (
     file_path,
     positive_integer,
 )
-from .compute import add_threads_option, limited_threads
-from .filtering import (
+from ..compute import add_threads_option, limited_threads
+from ..filtering import (
     add_filter_options,
     add_nonfinite_option,
     add_quality_option,
@@ -22,8 +22,9 @@ from .filtering import (
     complete,
     describe_filters,
 )
-from .shutter import add_shutter_options, settle
-from .sources import add_depth_options, add_vector_options
+from ..shutter import add_shutter_options, settle
+from ..sources import add_depth_options, add_vector_options
+from . import blur
 
 FILTER = "layered"
 EXPLANATION = """\

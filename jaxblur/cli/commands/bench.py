@@ -10,8 +10,8 @@ from typing import Any
 from jaxblur.filters.registry import names
 from jaxblur.settings import Settings
 
-from . import stages
-from .arguments import (
+from .. import stages
+from ..arguments import (
     CommandError,
     add_command,
     check_folder,
@@ -20,11 +20,11 @@ from .arguments import (
     positive_integer,
     positive_number,
 )
-from .compute import start_jax
-from .console import print_line, print_table, track
-from .filtering import CHOICES, add_nonfinite_option, filter_name, find_filter
+from ..compute import start_jax
+from ..console import print_line, print_table, track
+from ..filtering import CHOICES, add_nonfinite_option, filter_name, find_filter
+from ..sources import add_source_options, add_vector_options
 from .scene import check_scene, image_size
-from .sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

@@ -10,8 +10,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from . import sources
-from .arguments import (
+from .. import sources
+from ..arguments import (
     CommandError,
     add_command,
     add_compute_options,
@@ -22,9 +22,9 @@ from .arguments import (
     positive_integer,
     whole_from_zero,
 )
-from .compute import start_jax
-from .console import print_line, print_table
-from .filtering import (
+from ..compute import start_jax
+from ..console import print_line, print_table
+from ..filtering import (
     FITTED_FILTER,
     add_filter_options,
     check_names,
@@ -32,8 +32,8 @@ from .filtering import (
     describe_filters,
     find_filter,
 )
-from .progress import stages
-from .sources import add_source_options, add_vector_options
+from ..progress import stages
+from ..sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from . import isolation, mattes, posts, results, sequence, stack, stages, strength
-from .arguments import (
+from .. import isolation, mattes, posts, results, sequence, stack, stages, strength
+from ..arguments import (
     PNG_TRANSFORM,
     CommandError,
     add_command,
@@ -21,9 +21,9 @@ from .arguments import (
     file_path,
     positive_number,
 )
-from .compute import add_threads_option, limited_threads, start_jax
-from .console import print_line, print_table
-from .filtering import (
+from ..compute import add_threads_option, limited_threads, start_jax
+from ..console import print_line, print_table
+from ..filtering import (
     CHOICES,
     add_filter_options,
     add_nonfinite_option,
@@ -36,9 +36,9 @@ from .filtering import (
     require_shutter,
     takes_neighbors,
 )
-from .progress import remarks_once
-from .shutter import add_shutter_options, option_of, settle
-from .sources import add_source_options, add_vector_options
+from ..progress import remarks_once
+from ..shutter import add_shutter_options, option_of, settle
+from ..sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 

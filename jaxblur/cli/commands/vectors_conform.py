@@ -5,8 +5,8 @@ import dataclasses
 import json
 from typing import Any
 
-from .arguments import CommandError
-from .console import print_line, print_table
+from ..arguments import CommandError
+from ..console import print_line, print_table
 
 
 def run(arguments: argparse.Namespace) -> int:

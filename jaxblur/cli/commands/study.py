@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxblur._util.atomic import replacing
 
-from .arguments import (
+from ..arguments import (
     CommandError,
     add_command,
     add_view_option,
@@ -17,7 +17,7 @@ from .arguments import (
     positive_integer,
     positive_number,
 )
-from .console import print_line
+from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxblur._util.atomic import replacing
 
-from .arguments import (
+from ..arguments import (
     CommandError,
     add_command,
     add_view_option,
@@ -16,7 +16,7 @@ from .arguments import (
     file_path,
     positive_number,
 )
-from .console import print_line
+from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")
 

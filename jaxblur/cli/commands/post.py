@@ -7,8 +7,8 @@ from typing import Any
 
 import jaxblur
 
-from . import posts
-from .arguments import (
+from .. import posts
+from ..arguments import (
     PNG_TRANSFORM,
     CommandError,
     add_command,
@@ -17,10 +17,10 @@ from .arguments import (
     file_path,
     frame_numbers,
 )
-from .compute import start_jax
-from .console import print_line, track
-from .sources import add_channel_options
-from .stages import check_output
+from ..compute import start_jax
+from ..console import print_line, track
+from ..sources import add_channel_options
+from ..stages import check_output
 
 LOG = logging.getLogger("jaxblur")
 
@@ -84,7 +84,7 @@ def _jobs(arguments: argparse.Namespace) -> list[tuple[pathlib.Path, pathlib.Pat
     """Picture, file with its depth, and output of every frame."""
     from jaxblur.sequence import has_frame_number, parse_names
 
-    from .sequence import frames_on_disk
+    from ..sequence import frames_on_disk
 
     depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
