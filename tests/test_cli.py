@@ -10,7 +10,7 @@ import time
 import pytest
 
 import jaxblur
-from jaxblur.cli import arguments, console, interrupts, stages
+from jaxblur.cli import arguments, blurring, console, interrupts
 from jaxblur.cli.filtering import describe_filters
 from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run, spawn
@@ -140,7 +140,7 @@ def test_bugs_are_not_dressed_up_as_user_errors(monkeypatch, tmp_path):
     def broken(*_):
         raise TypeError("a bug")
 
-    monkeypatch.setattr(stages, "apply_filter", broken)
+    monkeypatch.setattr(blurring, "apply_filter", broken)
     with pytest.raises(TypeError, match="a bug"):
         run("blur", CAR, "-o", tmp_path / "out.exr")
 
@@ -149,7 +149,7 @@ def test_interrupting_gives_130_and_leaves_nothing(monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stages, "apply_filter", interrupted)
+    monkeypatch.setattr(blurring, "apply_filter", interrupted)
     outcome = run("blur", CAR, "-o", tmp_path / "out.exr")
     assert outcome.status == 130
     assert outcome.err.splitlines()[-1] == "jaxblur: error: interrupted"

@@ -9,7 +9,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr, srgb
-from jaxblur.cli import stages
+from jaxblur.cli import blurring
 from jaxblur.settings import choices_of
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
@@ -380,13 +380,13 @@ def test_the_truth_may_be_a_png(tmp_path):
 def test_an_input_that_changes_meanwhile_is_an_error(tmp_path, monkeypatch, role, output):
     channels = plain_frame((16, 16))
     files = {name: write_single(tmp_path / f"{name}.exr", channels) for name in ("input", "depth")}
-    blur = stages.blur
+    blur = blurring.blur
 
     def replaced_meanwhile(*arguments):
         write_single(files[role], channels | {"Z": channels["Z"] + 1})
         return blur(*arguments)
 
-    monkeypatch.setattr(stages, "blur", replaced_meanwhile)
+    monkeypatch.setattr(blurring, "blur", replaced_meanwhile)
     command = ("blur", files["input"], "-o", tmp_path / output, "--depth-from", files["depth"])
     message = refused(*command, "--filter", "pixel_velocity")
     assert f"{role}.exr: changed while it was being used; nothing was written" in message

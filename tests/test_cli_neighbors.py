@@ -253,16 +253,16 @@ def test_a_frame_is_made_again_when_a_neighbor_changes(shot):
 
 
 def test_a_neighbor_that_changes_meanwhile_is_an_error(shot, monkeypatch):
-    from jaxblur.cli import stages
+    from jaxblur.cli import blurring
 
     path, command = shot
-    blur = stages.blur
+    blur = blurring.blur
 
     def replaced_meanwhile(*arguments):
         write_frames(path, (3,), shift=1)
         return blur(*arguments)
 
-    monkeypatch.setattr(stages, "blur", replaced_meanwhile)
+    monkeypatch.setattr(blurring, "blur", replaced_meanwhile)
     outcome = run(*command, "--frames", "2")
     assert outcome.status == 1 and "in.0003.exr: changed while it was being used" in outcome.err
 

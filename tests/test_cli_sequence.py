@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from jaxblur import exr
-from jaxblur.cli import sequence, stages
+from jaxblur.cli import blurring
+from jaxblur.cli.sequence import run as sequence_run
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
 
@@ -175,7 +176,7 @@ def test_frames_that_are_not_there(shot):
 def test_an_input_that_vanishes_meanwhile(shot, monkeypatch):
     path, command = shot
     # What is called between the plan and the work.
-    monkeypatch.setattr(sequence, "start_jax", lambda _: (path / "in.1004.exr").unlink(True))
+    monkeypatch.setattr(sequence_run, "start_jax", lambda _: (path / "in.1004.exr").unlink(True))
     outcome = run(*command)
     assert outcome.status == 1 and "frame 1004" in outcome.err and "no such file" in outcome.err
     assert written(path) == all_names((1001, 1002, 1003, 1005))
@@ -185,14 +186,14 @@ def test_a_bug_is_not_dressed_up_as_a_bad_frame(shot, monkeypatch):
     def broken(*_):
         raise TypeError("a bug")
 
-    monkeypatch.setattr(stages, "blur", broken)
+    monkeypatch.setattr(blurring, "blur", broken)
     with pytest.raises(TypeError, match="a bug"):
         run(*shot[1])
 
 
 def test_an_interruption_says_how_to_go_on(shot, monkeypatch):
     path, command = shot
-    blur, count = stages.blur, []
+    blur, count = blurring.blur, []
 
     def interrupted(*arguments):
         count.append(1)
@@ -200,7 +201,7 @@ def test_an_interruption_says_how_to_go_on(shot, monkeypatch):
             raise KeyboardInterrupt
         return blur(*arguments)
 
-    monkeypatch.setattr(stages, "blur", interrupted)
+    monkeypatch.setattr(blurring, "blur", interrupted)
     outcome = run(*command)
     assert outcome.status == 130
     message = outcome.err.splitlines()[-1]

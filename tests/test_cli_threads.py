@@ -37,13 +37,13 @@ def test_threads_that_run_and_that_start_are_limited():
 def test_the_command_uses_one_core(tmp_path):
     code = (
         "import os, sys; from jaxblur.cli import main; from jaxblur.cli.commands import blur\n"
-        "run = blur.run_single\n"
+        "run = blur.blur_single\n"
         "def counted(*given):\n"
         "    status = run(*given)\n"
         "    threads = os.listdir('/proc/self/task')\n"
         "    print(len(threads), max(len(os.sched_getaffinity(int(t))) for t in threads))\n"
         "    return status\n"
-        "blur.run_single = counted; sys.exit(main(sys.argv[1:]))"
+        "blur.blur_single = counted; sys.exit(main(sys.argv[1:]))"
     )
     options = ("--threads", "1", "--samples", "5", "--radius", "20", "--no-compile-cache")
     simple = ("--filter", "pixel_velocity")

@@ -24,7 +24,7 @@ SCRIPT = """
 import dataclasses, json, sys
 import jax, jax.numpy as jnp, numpy as np
 import jaxblur
-from jaxblur.cli import main, stages
+from jaxblur.cli import blurring, main
 from jaxblur.devices import blur_frames, blur_rows
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.noise import make_noise
@@ -66,13 +66,13 @@ options = {"settings": settings, "noise": random_noise((24, 20))}
 one = jaxblur.blur_batch("pixel_velocity", frames, **options)
 note("frames", one, blur_frames("pixel_velocity", frames, **options), frames.color)
 
-folder, used, blur = sys.argv[1], set(), stages.blur
+folder, used, blur = sys.argv[1], set(), blurring.blur
 
 def noting(*arguments):
     used.add(str(jax.config.jax_default_device))
     return blur(*arguments)
 
-stages.blur = noting
+blurring.blur = noting
 few = ("--filter", "pixel_velocity", "--samples", "7", "--no-compile-cache", "-q")
 status = main(["blur", folder + "/in.####.exr", "-o", folder + "/out.####.exr", *few])
 difference = 0.0

@@ -14,7 +14,6 @@ from typing import Any, NoReturn
 
 from jaxblur._util.text import printable
 
-PNG_TRANSFORM = "8-bit sRGB, clipped to 0..1"
 HELP_WIDTH = 98
 
 
@@ -127,21 +126,6 @@ def add_compute_options(parser: argparse.ArgumentParser) -> None:
         "--no-compile-cache",
         action="store_true",
         help="do not keep compiled code between runs (it is kept in the user's cache folder)",
-    )
-
-
-def add_view_option(parser: Any, what: str) -> None:
-    """Add the option for the view of what people look at.
-
-    Args:
-        parser: of a command, or a group of it.
-        what: what is shown in that view.
-    """
-    parser.add_argument(
-        "--view",
-        metavar="NAME",
-        help=f'show {what} in an OpenColorIO view, such as "ACES 2.0 - SDR 100 nits (Rec.709)", of '
-        "the configuration in $OCIO or the built-in one (default: plain sRGB, no tone curve)",
     )
 
 

@@ -1,8 +1,11 @@
-"""The errors that a user can correct, and their messages."""
+"""The errors that a user can correct, their messages, and the exit status of some."""
 
 from jaxblur._util.errors import JaxblurIOError
 
 from .arguments import CommandError
+
+FAILED = 1
+"""Exit status where some files or frames are not done."""
 
 
 def is_foreseeable(error: BaseException) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
-from jaxblur.settings import GuertinSettings, Settings, checked_settings, choices_of
+from jaxblur.settings import GuertinSettings, Settings, choices_of
 
 from .arguments import CommandError, did_you_mean, one_of, positive_integer, positive_number
 from .console import print_line
@@ -163,6 +163,33 @@ def report_ignored(path: Any, ignored: Any) -> None:
         print_line(f"{path}: not finite: {ignored}")
 
 
+def add_parameters_option(group: Any) -> None:
+    """Add the option that names a file of `jaxblur fit`; `read_fitted` reads it.
+
+    Args:
+        group: that `add_filter_options` returned.
+    """
+    group.add_argument(
+        "--parameters",
+        type=pathlib.Path,
+        metavar="FILE",
+        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
+    )
+
+
+def read_fitted(arguments: argparse.Namespace) -> Any:
+    """The `jaxblur.FitResult` that ``--parameters`` names, or None.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    if arguments.parameters is None:
+        return None
+    from jaxblur.fitting import FitResult
+
+    return FitResult.load(arguments.parameters)
+
+
 def complete(
     arguments: argparse.Namespace, fitted: Any = None
 ) -> tuple[str, dict[str, float], Settings]:
@@ -170,7 +197,7 @@ def complete(
 
     Args:
         arguments: with the options of `add_filter_options`.
-        fitted: a `jaxblur.FitResult`, or None.
+        fitted: as `read_fitted` gives it.
 
     Returns:
         Name of the filter, all of its parameters, settings.
@@ -312,59 +339,6 @@ def describe_filters(*chosen: str) -> str:
             for name, known in info.parameter_infos.items()
         ]
     return "\n".join(lines)
-
-
-def apply_filter(
-    name: str,
-    buffers: Any,
-    parameters: Mapping[str, float],
-    settings: Settings,
-    seed: int | None = None,
-    neighbors: Mapping[str, Any] | None = None,
-    call: Callable[..., Any] | None = None,
-) -> Any:
-    """Run a filter.
-
-    Args:
-        name: of a registered filter.
-        buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
-        parameters: by name; the others take their defaults.
-        settings: how to run it; plain `Settings` will do for any filter.
-        seed: moves the built-in noise; None leaves it where it is.
-        neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
-            each a `jaxblur.Frame`, and ``shutter``; of one that takes a shutter: ``exposure``.
-        call: function with the filter's arguments to run instead of it, such as its hint.
-
-    Returns:
-        (H, W, C) NumPy array, or what `call` gives.
-    """
-    import numpy as np
-
-    from jaxblur.frame import Frame
-
-    info = filter_info(name)
-    frame = buffers if isinstance(buffers, Frame) else buffers.frame()
-    settings = checked_settings(settings, info.kind, info.name)
-    noise = noise_of(settings, seed, frame.depth.shape)
-    values = info.make_parameters(**parameters)
-    function: Any = call or info.call
-    return np.asarray(function(frame, values, settings=settings, noise=noise, **(neighbors or {})))
-
-
-def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:
-    """The built-in noise, moved by a seed; None where it is not moved, or there is none.
-
-    Args:
-        settings: of the filter.
-        seed: see `apply_filter`.
-        size: rows and columns.
-    """
-    from jaxblur.noise import make_noise
-
-    if seed is None or settings.noise == "none":
-        return None
-    height, width = size
-    return make_noise(settings.noise, height, width, seed)
 
 
 def takes_neighbors(name: str) -> bool:

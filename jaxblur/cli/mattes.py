@@ -7,15 +7,17 @@ import pathlib
 from collections.abc import Sequence
 from typing import Any
 
-from . import stages
+from . import blurring
 from .arguments import CommandError
+from .choice import PASSED_THROUGH, Choice
 from .filtering import takes_neighbors
+from .loading import Loaded, Source
 
 LOG = logging.getLogger("jaxblur")
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option; `blur` and `stages.read` read it."""
+    """Add the option; `blur` and `.loading.read` read it."""
     parser.add_argument(
         "--cryptomatte",
         action=argparse.BooleanOptionalAction,
@@ -70,7 +72,7 @@ def warn_of_sharp(arguments: argparse.Namespace, path: pathlib.Path) -> None:
 
 
 def blur(
-    chosen: stages.Choice, loaded: stages.Loaded, seed: int | None, parts: Sequence[stages.Loaded]
+    chosen: Choice, loaded: Loaded, seed: int | None, parts: Sequence[Loaded]
 ) -> tuple[Any, ...]:
     """Blur the Cryptomattes of a frame.
 
@@ -88,7 +90,7 @@ def blur(
 
     if not loaded.ranks:
         return ()
-    if chosen.name == stages.PASSED_THROUGH:
+    if chosen.name == PASSED_THROUGH:
         return tuple(exr.unchanged_ranks(layer) for layer in loaded.ranks)
     with_neighbors = takes_neighbors(chosen.name)
     images, moves = [], []
@@ -105,7 +107,7 @@ def blur(
     def number_of(ranks: Any) -> int:
         return next(index for index, each in enumerate(images) if each is ranks)
 
-    def of_part(part: stages.Loaded, planes: list[Any]) -> Any:
+    def of_part(part: Loaded, planes: list[Any]) -> Any:
         near = part.neighbors if with_neighbors else {}
         others = {
             side: source._replace(
@@ -114,7 +116,7 @@ def blur(
             for side, source in near.items()
         }
         own = _in_place(part.buffers, planes[number_of(part.ranks)])
-        return stages.blur(chosen, dataclasses.replace(part, buffers=own, neighbors=others), seed)
+        return blurring.blur(chosen, dataclasses.replace(part, buffers=own, neighbors=others), seed)
 
     def blurred(planes: list[Any]) -> Any:
         total = of_part(parts[0], planes)
@@ -134,7 +136,7 @@ def _in_place(buffers: Any, planes: Any) -> Any:
     )
 
 
-def _motion_of(part: stages.Loaded, side: str, source: stages.Source) -> Any:
+def _motion_of(part: Loaded, side: str, source: Source) -> Any:
     """The motion of a neighbor's pixels to the time of the frame."""
     sign = 1 if side == "before" else -1
     return source.buffers.velocity * (2 * sign / part.shutter)

@@ -9,8 +9,9 @@ from typing import Any
 
 from jaxblur.settings import Settings
 
-from . import stages
 from .arguments import CommandError, check_folder, file_path
+from .choice import Choice
+from .loading import Loaded, load
 
 ROLES = ("input", "velocity_from", "depth_from", "truth")
 NOTES = ("jaxblur:settings", "jaxblur:parameters")
@@ -42,7 +43,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 def make_shot(
     name: str,
-    loaded: stages.Loaded,
+    loaded: Loaded,
     blurred: Any,
     method: str,
     settings: Mapping[str, Any],
@@ -75,7 +76,7 @@ def make_shot(
     )
 
 
-def settings_of(chosen: stages.Choice) -> dict[str, Any]:
+def settings_of(chosen: Choice) -> dict[str, Any]:
     """Settings and parameters of a run as one table."""
     return dataclasses.asdict(chosen.settings) | dict(chosen.parameters)
 
@@ -127,7 +128,7 @@ def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Itera
     for job in jobs:
         sources = {role: job.inputs.get(role) for role in ROLES}
         here = argparse.Namespace(**vars(arguments) | sources)
-        loaded = stages.load(here, Settings())
+        loaded = load(here, Settings())
         output = job.outputs[0]
         blurred = exr.read_image(output, arguments.layer)
         notes = exr.inspect(output).parts[0].attributes

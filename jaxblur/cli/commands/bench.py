@@ -10,7 +10,6 @@ from typing import Any
 from jaxblur.filters.registry import names
 from jaxblur.settings import Settings
 
-from .. import stages
 from ..arguments import (
     CommandError,
     add_command,
@@ -23,6 +22,7 @@ from ..arguments import (
 from ..compute import start_jax
 from ..console import print_line, print_table, track
 from ..filtering import CHOICES, add_nonfinite_option, filter_name, find_filter
+from ..loading import load
 from ..sources import add_source_options, add_vector_options
 from .scene import check_scene, image_size
 
@@ -257,7 +257,7 @@ def _file_subject(
 
     colors = {"color_space": None, "view": None, "png": False}
     named = argparse.Namespace(**vars(arguments) | colors | {"input": path, "truth": truth})
-    loaded = stages.load(named, Settings())
+    loaded = load(named, Settings())
     buffers = loaded.buffers
     if not loaded.colors.is_identity:
         # Filters commute with the conversion, which is linear.

@@ -11,10 +11,11 @@ from jaxblur._util.atomic import replacing
 from jaxblur.filters.registry import filter_info
 
 from ..arguments import add_command, add_compute_options, check_folder, check_outputs, file_path
+from ..blurring import apply_filter
 from ..compute import start_jax
 from ..console import print_line, print_table
-from ..filtering import DEFAULT_FILTER, apply_filter
-from ..stages import SCORE_COLUMNS, score_rows, scores
+from ..filtering import DEFAULT_FILTER
+from ..scores import SCORE_COLUMNS, score_rows, scores
 from .play import page_of
 from .report import write_page
 from .scene import image_size, make_scene

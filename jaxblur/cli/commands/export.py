@@ -8,7 +8,14 @@ from typing import Any
 from ..arguments import CommandError, add_command, add_compute_options, check_folder, file_path
 from ..compute import start_jax
 from ..console import print_line
-from ..filtering import add_filter_options, complete, describe_filters, find_filter
+from ..filtering import (
+    add_filter_options,
+    add_parameters_option,
+    complete,
+    describe_filters,
+    find_filter,
+    read_fitted,
+)
 
 LOG = logging.getLogger("jaxblur")
 
@@ -41,24 +48,14 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--path", action="store_true", help="frames have curved paths (layered)")
     add_compute_options(parser)
     group = add_filter_options(parser)
-    group.add_argument(
-        "--parameters",
-        type=pathlib.Path,
-        metavar="FILE",
-        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
-    )
+    add_parameters_option(group)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the folder; see `add_parser`."""
     if arguments.radius == 0:
         raise CommandError("--radius auto: is that of a frame, and here is none; give pixels.")
-    fitted = None
-    if arguments.parameters is not None:
-        from jaxblur.fitting import FitResult
-
-        fitted = FitResult.load(arguments.parameters)
-    name, parameters, settings = complete(arguments, fitted)
+    name, parameters, settings = complete(arguments, read_fitted(arguments))
     folder: pathlib.Path = arguments.output
     check_folder(folder)
     start_jax(not arguments.no_compile_cache)

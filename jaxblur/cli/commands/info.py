@@ -21,9 +21,9 @@ from ..arguments import (
     positive_integer,
 )
 from ..console import print_line, print_table
-from ..errors import is_foreseeable, message_of
+from ..errors import FAILED, is_foreseeable, message_of
 from ..filtering import DEFAULT_FILTER
-from ..sequence import FAILED, frames_on_disk
+from ..sequence import frames_on_disk
 from ..sources import add_channel_options, add_vector_options
 from .info_mattes import names_of, print_names
 

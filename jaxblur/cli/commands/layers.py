@@ -3,16 +3,16 @@
 import argparse
 from typing import Any
 
-from .. import isolation, layer_reading, sequence, stack, stages, strength
+from .. import isolation, layer_reading, outputs, sequence, stack, strength
 from ..arguments import (
-    PNG_TRANSFORM,
     CommandError,
     add_command,
     add_compute_options,
     describe_presets,
-    file_path,
     positive_integer,
 )
+from ..choice import Choice
+from ..colors import add_color_options, check_colors
 from ..compute import add_threads_option, limited_threads
 from ..filtering import (
     add_filter_options,
@@ -22,9 +22,11 @@ from ..filtering import (
     complete,
     describe_filters,
 )
+from ..loading import add_motion_option, check_motion
+from ..scores import add_truth_options
 from ..shutter import add_shutter_options, settle
+from ..single import blur_single
 from ..sources import add_depth_options, add_vector_options
-from . import blur
 
 FILTER = "layered"
 EXPLANATION = """\
@@ -51,25 +53,15 @@ def add_parser(commands: Any) -> None:
         metavar="FILE[:LAYER]",
         help="from the front to the back; see below",
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=file_path,
-        required=True,
-        metavar="OUT",
-        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
-    )
+    outputs.add_output_option(parser)
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="replace existing outputs")
     sequence.add_options(parser, existing)
-    parser.add_argument("--png", action="store_true", help="write OUT.png beside OUT.exr too")
+    outputs.add_png_option(parser)
     strength.add_pass_options(parser)
-    parser.add_argument(
-        "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
-    )
-    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+    add_truth_options(parser)
     _add_stack_options(parser)
-    blur.add_color_options(parser)
+    add_color_options(parser)
     add_compute_options(parser)
     add_threads_option(parser)
     group = add_filter_options(parser, FILTER, alone=True)
@@ -77,11 +69,7 @@ def add_parser(commands: Any) -> None:
     add_seed_option(group)
     add_vector_options(parser, layer=False)
     add_shutter_options(parser)
-    parser.add_argument(
-        "--require-motion",
-        action="store_true",
-        help="fail, rather than warn, if the vectors move nothing by half a pixel",
-    )
+    add_motion_option(parser)
     strength.add_options(parser)
     add_nonfinite_option(add_depth_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
@@ -136,18 +124,18 @@ def run(arguments: argparse.Namespace) -> int:
     arguments.stack = stack.places_of(arguments)
     arguments.layer = next(p.layer for p in arguments.stack if p.role == "input")
     _check(arguments)
-    blur.check_motion(arguments)
-    blur.check_colors(arguments)
+    check_motion(arguments)
+    check_colors(arguments)
     strength.check(arguments)
-    asked = stages.Choice(*complete(arguments))
+    asked = Choice(*complete(arguments))
     from jaxblur.exr import JaxblurIOError
 
     with limited_threads(arguments.threads):
         if sequence.is_asked_for(arguments):
-            return sequence.run(arguments, asked)
+            return sequence.blur_sequence(arguments, asked)
         sequence.refuse_options(arguments)
         try:
-            return blur.run_single(arguments, asked)
+            return blur_single(arguments, asked)
         except JaxblurIOError as error:
             raise layer_reading.with_remedies(error) from error
 

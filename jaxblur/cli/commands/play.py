@@ -23,9 +23,11 @@ from ..console import print_line
 from ..filtering import (
     add_filter_options,
     add_nonfinite_option,
+    add_parameters_option,
     complete,
     describe_filters,
     find_filter,
+    read_fitted,
     report_ignored,
 )
 from ..sources import add_source_options, add_vector_options
@@ -63,12 +65,7 @@ def add_parser(commands: Any) -> None:
     )
     add_compute_options(parser)
     group = add_filter_options(parser)
-    group.add_argument(
-        "--parameters",
-        type=pathlib.Path,
-        metavar="FILE",
-        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
-    )
+    add_parameters_option(group)
     add_vector_options(parser)
     add_nonfinite_option(add_source_options(parser))
     parser.set_defaults(also=[], all_color=False)
@@ -83,12 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError(f"{output}: no folder {output.parent}; create it first.")
     check_folder(output.parent)
     check_outputs([output], arguments.overwrite)
-    fitted = None
-    if arguments.parameters is not None:
-        from jaxblur.fitting import FitResult
-
-        fitted = FitResult.load(arguments.parameters)
-    name, parameters, settings = complete(arguments, fitted)
+    name, parameters, settings = complete(arguments, read_fitted(arguments))
     buffers = sources.read(arguments)
     report_ignored(arguments.input, buffers.ignored)
     page = _page(arguments, name, parameters, settings, buffers)

@@ -9,7 +9,6 @@ import jaxblur
 
 from .. import posts
 from ..arguments import (
-    PNG_TRANSFORM,
     CommandError,
     add_command,
     add_compute_options,
@@ -19,8 +18,8 @@ from ..arguments import (
 )
 from ..compute import start_jax
 from ..console import print_line, track
+from ..outputs import add_output_option, check_output
 from ..sources import add_channel_options
-from ..stages import check_output
 
 LOG = logging.getLogger("jaxblur")
 
@@ -33,14 +32,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "input", type=file_path, help="picture, or pictures: name.####.exr, name.%%04d.exr"
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=file_path,
-        required=True,
-        metavar="OUT",
-        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
-    )
+    add_output_option(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace existing outputs")
     parser.add_argument(
         "--frames", type=frame_numbers, metavar="A-B[xN]", help="of a sequence (default: all)"

@@ -10,12 +10,12 @@ from jaxblur._util.atomic import replacing
 from ..arguments import (
     CommandError,
     add_command,
-    add_view_option,
     check_folder,
     check_outputs,
     file_path,
     positive_number,
 )
+from ..colors import add_view_option
 from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")

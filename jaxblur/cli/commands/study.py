@@ -10,13 +10,13 @@ from jaxblur._util.atomic import replacing
 from ..arguments import (
     CommandError,
     add_command,
-    add_view_option,
     check_folder,
     check_outputs,
     file_path,
     positive_integer,
     positive_number,
 )
+from ..colors import add_view_option
 from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")

@@ -1,0 +1,155 @@
+"""Blur one frame that was read, and run the posts that follow; for a sequence too."""
+
+import argparse
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from jaxblur.filters.registry import filter_info
+from jaxblur.settings import Settings, checked_settings
+
+from . import posts, stack
+from .arguments import CommandError
+from .choice import PASSED_THROUGH, Choice
+from .filtering import takes_neighbors
+from .loading import Loaded
+
+
+def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
+    """Run the filter; a frame that is passed through is filtered as if nothing moved.
+
+    Neighbors are given to filters that take them.
+
+    Args:
+        chosen: what is to be run.
+        loaded: the frame.
+        seed: moves the noise; None leaves it where it is.
+
+    Returns:
+        (H, W, C) NumPy array.
+    """
+    import numpy as np
+
+    buffers = loaded.buffers
+    if chosen.name == PASSED_THROUGH:
+        still = np.zeros_like(buffers.velocity)
+        buffers = dataclasses.replace(buffers, velocity=still, path=None)
+        return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+    if loaded.layers:
+        return _blur_layers(chosen, loaded, seed)
+    more: dict[str, Any] = {}
+    if loaded.neighbors and takes_neighbors(chosen.name):
+        given = {side: source.buffers.frame() for side, source in loaded.neighbors.items()}
+        more = {**given, "shutter": loaded.shutter}
+    if loaded.exposure is not None:
+        more["exposure"] = loaded.exposure.shutter()
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
+
+
+def _blur_layers(chosen: Choice, loaded: Loaded, seed: int | None) -> Any:
+    """Blur layers together; see `blur`."""
+    near = {side: source.layers for side, source in loaded.neighbors.items()}
+    exposure = loaded.exposure
+    return stack.blur(
+        loaded.layers,
+        near,
+        filter_info(chosen.name).make_parameters(**chosen.parameters),
+        loaded.buffers.pass_channels,
+        settings=chosen.settings,
+        noise=noise_of(chosen.settings, seed, loaded.buffers.depth.shape),
+        shutter=loaded.shutter,
+        exposure=None if exposure is None else exposure.shutter(),
+    )
+
+
+def apply_filter(
+    name: str,
+    buffers: Any,
+    parameters: Mapping[str, float],
+    settings: Settings,
+    seed: int | None = None,
+    neighbors: Mapping[str, Any] | None = None,
+    call: Callable[..., Any] | None = None,
+) -> Any:
+    """Run a filter.
+
+    Args:
+        name: of a registered filter.
+        buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
+        parameters: by name; the others take their defaults.
+        settings: how to run it; plain `Settings` will do for any filter.
+        seed: moves the built-in noise; None leaves it where it is.
+        neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
+            each a `jaxblur.Frame`, and ``shutter``; of one that takes a shutter: ``exposure``.
+        call: function with the filter's arguments to run instead of it, such as its hint.
+
+    Returns:
+        (H, W, C) NumPy array, or what `call` gives.
+    """
+    import numpy as np
+
+    from jaxblur.frame import Frame
+
+    info = filter_info(name)
+    frame = buffers if isinstance(buffers, Frame) else buffers.frame()
+    settings = checked_settings(settings, info.kind, info.name)
+    noise = noise_of(settings, seed, frame.depth.shape)
+    values = info.make_parameters(**parameters)
+    function: Any = call or info.call
+    return np.asarray(function(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+
+
+def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:
+    """The built-in noise, moved by a seed; None where it is not moved, or there is none.
+
+    Args:
+        settings: of the filter.
+        seed: see `apply_filter`.
+        size: rows and columns.
+    """
+    from jaxblur.noise import make_noise
+
+    if seed is None or settings.noise == "none":
+        return None
+    height, width = size
+    return make_noise(settings.noise, height, width, seed)
+
+
+def after_blur(
+    arguments: argparse.Namespace, chosen: Choice, loaded: Loaded, image: Any, seed: int | None
+) -> Any:
+    """Run the posts that the arguments name on a blurred frame.
+
+    Args:
+        arguments: of the command.
+        chosen: what has blurred it.
+        loaded: the frame.
+        image: (H, W, C) NumPy array, blurred.
+        seed: as `blur` was given it.
+
+    Returns:
+        (H, W, C) NumPy array.
+
+    Raises:
+        CommandError: a post needs depth, and the frame has none; or the hint of another filter.
+    """
+    buffers = loaded.buffers
+    depth = None if buffers.depth_channel is None else buffers.depth
+
+    def hint() -> Any:
+        if chosen.name == PASSED_THROUGH:
+            # What is not blurred has the luma of its picture.
+            return posts.linear_luma(image[..., : buffers.color.shape[2]])
+        if chosen.name != posts.HINTING:
+            raise CommandError(
+                f"--then {posts.HINTED}: {chosen.name} gives no hint; pass --filter "
+                f"{posts.HINTING}, or --then fxaa."
+            )
+        from jaxblur.filters.guertin2014 import luma_hint
+
+        return apply_filter(
+            chosen.name, buffers, chosen.parameters, chosen.settings, seed, call=luma_hint
+        )
+
+    velocity = None if chosen.name == PASSED_THROUGH else buffers.velocity
+    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint, velocity)

@@ -1,0 +1,85 @@
+"""How colors are shown: the options that say so, and the conversion of a frame's colors."""
+
+import argparse
+import logging
+import pathlib
+from typing import Any
+
+from .arguments import CommandError
+
+LOG = logging.getLogger("jaxblur")
+
+
+def add_view_option(parser: Any, what: str) -> None:
+    """Add the option for the view of what people look at.
+
+    Args:
+        parser: of a command, or a group of it.
+        what: what is shown in that view.
+    """
+    parser.add_argument(
+        "--view",
+        metavar="NAME",
+        help=f'show {what} in an OpenColorIO view, such as "ACES 2.0 - SDR 100 nits (Rec.709)", of '
+        "the configuration in $OCIO or the built-in one (default: plain sRGB, no tone curve)",
+    )
+
+
+def add_color_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of how colors are shown; `check_colors` and `shown_colors` read them."""
+    group = parser.add_argument_group(
+        "colors of previews, scores and reports; an EXR keeps its own"
+    )
+    add_view_option(group, "PNG, scores and --result")
+    group.add_argument(
+        "--color-space",
+        metavar="NAME",
+        help="color space of the frame and of a truth in EXR, such as ACEScg, where the files do "
+        "not name it or name a wrong one (default: as in the file, else linear sRGB)",
+    )
+
+
+def check_colors(arguments: argparse.Namespace) -> None:
+    """Reject colors that nothing would be shown in, or that the configuration lacks.
+
+    Raises:
+        CommandError: nothing would be shown in them.
+        ValueError: the configuration lacks them.
+    """
+    if arguments.view is None and arguments.color_space is None:
+        return
+    from jaxblur import exr
+
+    exr.check_view(arguments.view)
+    exr.check_color_space(arguments.color_space)
+    if not _shows_any(arguments):
+        option = "--view" if arguments.view else "--color-space"
+        raise CommandError(
+            f"{option}: is for previews and scores, and an EXR keeps its colors; add --png or "
+            "--truth, or leave it out."
+        )
+
+
+def shown_colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str) -> Any:
+    """How the colors of a frame are shown; said in one line if they are shown and converted.
+
+    Args:
+        arguments: of the command.
+        path: the file with the color.
+        channel: full name of one of its color channels.
+
+    Returns:
+        A `jaxblur.exr.Conversion`.
+    """
+    from jaxblur import exr
+
+    colors = exr.conversion_of(exr.inspect(path), channel, arguments.color_space, arguments.view)
+    if not colors.is_identity and _shows_any(arguments):
+        LOG.info("colors: %s", colors.words)
+    return colors
+
+
+def _shows_any(arguments: argparse.Namespace) -> bool:
+    """Whether a command writes a preview or scores."""
+    png = arguments.png or arguments.output.suffix.lower() == ".png"
+    return bool(png or arguments.truth is not None)

@@ -1,0 +1,257 @@
+"""Read one frame, its truth and its place among others, for a single frame and in a sequence."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from jaxblur.settings import Settings
+
+from . import layer_reading, sources, stack, strength
+from .arguments import CommandError
+from .colors import shown_colors
+from .shutter import Exposure
+
+LOG = logging.getLogger("jaxblur")
+
+STILL = 0.5
+"""Half-spread in pixels that no filter blurs."""
+
+
+class Source(NamedTuple):
+    """The files of a frame as they were read, without a truth.
+
+    Attributes:
+        path: the file with the color.
+        buffers: as `jaxblur.exr.read_buffers` gives them.
+        states: a `jaxblur.exr.FileStates` of the files, from before they were read.
+        motion: how its motion was changed, in words; see `strength.apply`.
+        ranks: a `jaxblur.exr.Ranks` of each Cryptomatte layer, if they are to be blurred.
+        selects: whether ``--scale-motion`` is for any pixel; see `strength.Changed`.
+        layers: `.stack.ReadLayer` of each layer, of which the buffers are the composite; empty for
+            a frame without layers.
+    """
+
+    path: pathlib.Path
+    buffers: Any
+    states: Any
+    motion: str = ""
+    ranks: tuple[Any, ...] = ()
+    selects: bool = True
+    layers: tuple[stack.ReadLayer, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Loaded:
+    """A frame as it was read.
+
+    Attributes:
+        buffers: as `jaxblur.exr.read_buffers` gives them.
+        truth: (H, W, C) linear light that a screen shows, or None.
+        colors: a `jaxblur.exr.Conversion` of the frame's colors to such light.
+        speeds: a `jaxblur.vectors.SpeedStatistics`.
+        mean_speed: mean half-spread in pixels.
+        states: a `jaxblur.exr.FileStates` of the files, from before they were read.
+        neighbors: the frames ``before`` and ``after``, as far as they are used.
+        shutter: exposure, in units of the time from one neighbor to the frame.
+        exposure: a `.shutter.Exposure`; None for a box centered on the frame.
+        motion: how its motion was changed, in words.
+        ranks: of `Source`.
+        changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
+        selects: of `Source`.
+        layers: of `Source`.
+    """
+
+    buffers: Any
+    truth: Any
+    colors: Any
+    speeds: Any
+    mean_speed: float
+    states: Any
+    neighbors: Mapping[str, Source] = dataclasses.field(default_factory=dict)
+    shutter: float = 0.5
+    exposure: Exposure | None = None
+    motion: str = ""
+    ranks: tuple[Any, ...] = ()
+    changes: tuple[Any, ...] = ()
+    selects: bool = True
+    layers: tuple[stack.ReadLayer, ...] = ()
+
+    def picture(self, blurred: Any) -> Any:
+        """The blurred picture, without further passes."""
+        return blurred[..., : self.buffers.color.shape[2]]
+
+    def with_neighbors(self, neighbors: Mapping[str, Source]) -> "Loaded":
+        """The frame with neighbors, whose files must not change either."""
+        states = (self.states, *(source.states for source in neighbors.values()))
+        every = type(self.states)(tuple(state for each in states for state in each.states))
+        return dataclasses.replace(self, neighbors=neighbors, states=every)
+
+    def without_neighbor_pixels(self) -> "Loaded":
+        """The frame for what follows the filter, in less memory."""
+        names = {
+            side: source._replace(buffers=None, ranks=(), layers=())
+            for side, source in self.neighbors.items()
+        }
+        return dataclasses.replace(self, neighbors=names, ranks=())
+
+
+def add_motion_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that demands motion; `check_motion` and `load` read it."""
+    parser.add_argument(
+        "--require-motion",
+        action="store_true",
+        help="fail, rather than warn, if the vectors move nothing by half a pixel",
+    )
+
+
+def check_motion(arguments: argparse.Namespace) -> None:
+    """Reject a shutter that leaves every frame sharp where motion is required.
+
+    Raises:
+        CommandError: it does.
+    """
+    if arguments.require_motion and arguments.shutter == 0:
+        raise CommandError(
+            "--require-motion: at --shutter 0 nothing moves; give an exposure above 0, or leave "
+            "out one of the two."
+        )
+
+
+def read(arguments: argparse.Namespace) -> Source:
+    """Read the frame that the arguments of `blur` name.
+
+    Args:
+        arguments: of the command.
+
+    Returns:
+        The frame.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+    """
+    from jaxblur import exr
+
+    mattes = getattr(arguments, "matte_from", None)
+    files = [getattr(arguments, role) for role in stack.roles(arguments)]
+    files += [arguments.velocity_from, arguments.depth_from, mattes]
+    states = exr.FileStates.of(path for path in files if path is not None)
+    if getattr(arguments, "stack", ()):
+        layers, motion, selects = layer_reading.read(arguments)
+        picture = stack.composite(layers)
+        return Source(arguments.input, picture, states, motion, selects=selects, layers=layers)
+    buffers, motion, selects = strength.apply(arguments, sources.read(arguments))
+    ranks = ()
+    if getattr(arguments, "cryptomatte", None):
+        group = exr.ColorGroup("", buffers.color_channels, None)
+        ranks = exr.read_ranks(arguments.input, group)
+        LOG.info("Cryptomattes: %s", ", ".join(each.layer.name for each in ranks))
+    return Source(arguments.input, buffers, states, motion, ranks, selects)
+
+
+def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
+    """Read the frame that the arguments of `blur` name, and its truth.
+
+    Args:
+        arguments: of the command.
+        settings: whose radius the speeds are compared with.
+        source: the frame, if it was read before.
+
+    Returns:
+        The frame.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+        CommandError: the truth has another size.
+    """
+    import numpy as np
+
+    from jaxblur import vectors
+
+    source = source or read(arguments)
+    buffers = source.buffers
+    truth = _read_truth(arguments, buffers.color.shape)
+    velocity = buffers.velocity
+    exposure = getattr(arguments, "exposure", None)
+    # The radius limits the displacement at the longest time from the frame.
+    seen = velocity if exposure is None else velocity * np.float32(exposure.reach)
+    speeds = vectors.speed_statistics(seen, settings.radius)
+    _warn_of_rest(arguments, source, speeds.percentiles[100.0])
+    path, named = arguments.input, buffers
+    if source.layers:
+        path, named = source.layers[0].path, source.layers[0].buffers
+    return Loaded(
+        buffers,
+        truth,
+        shown_colors(arguments, path, named.color_channels[0]),
+        speeds,
+        float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
+        source.states,
+        shutter=arguments.shutter,
+        exposure=exposure,
+        motion=source.motion,
+        ranks=source.ranks,
+        selects=source.selects,
+        layers=source.layers,
+    )
+
+
+def mismatch(loaded: Loaded, source: Source) -> str:
+    """How size or channels of another frame differ from those of a frame; empty if they agree."""
+    (height, width, channels), (rows, columns, others) = (
+        buffers.color.shape for buffers in (loaded.buffers, source.buffers)
+    )
+    if (height, width, channels) == (rows, columns, others):
+        if source.buffers.pass_channels != loaded.buffers.pass_channels:
+            return "has other color passes"
+        names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
+        return "" if names == others else "has other Cryptomattes"
+    return (
+        f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
+        f"{width}x{height} and {channels}"
+    )
+
+
+def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float) -> None:
+    """Warn if nothing moves by more than half a pixel, or fail with ``--require-motion``.
+
+    Raises:
+        CommandError: nothing moves, and motion is required.
+    """
+    if fastest >= STILL or arguments.shutter == 0:
+        return
+    if source.motion:
+        why = f"the longest half-spread is {fastest:.2g} px with motion {source.motion}"
+    elif fastest == 0:
+        why = "all vectors are zero: was the pass rendered?"
+    else:
+        why = f"the longest half-spread is {fastest:.2g} px: check --preset and --shutter"
+        # Over a full frame, fractions of the picture are below 1, in pixels or not.
+        if source.buffers.guess.preset.scale == "pixels" and 2 * fastest / arguments.shutter <= 1:
+            why += "; such values can be fractions of the frame: try --preset uv, ndc or unity"
+    file = arguments.velocity_from or arguments.input
+    if getattr(arguments, "require_motion", False):
+        raise CommandError(f"{file}: nothing moves; {why}.")
+    LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
+
+
+def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    from jaxblur import exr
+
+    if arguments.truth is None:
+        return None
+    info = exr.inspect(arguments.truth)
+    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
+    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    colors = exr.conversion_of(info, channel, arguments.color_space, arguments.view)
+    if not colors.is_identity:
+        LOG.info("colors of the truth: %s", colors.words)
+    if truth.shape[:2] != shape[:2]:
+        (rows, columns), (height, width) = truth.shape[:2], shape[:2]
+        raise CommandError(
+            f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
+            f"{width}x{height}; render both with the same data window."
+        )
+    return colors.light(truth)

@@ -1,0 +1,62 @@
+"""Scores of images against a truth, and their rows in tables."""
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from .arguments import file_path
+from .loading import Loaded
+
+SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
+
+
+def add_truth_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name the truth; `.loading.load` reads it."""
+    parser.add_argument(
+        "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
+    )
+    parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
+
+
+def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
+    """Score images in the colors of a frame against its truth, as a screen shows them.
+
+    Args:
+        images: (H, W, C) colors of the frame by name.
+        loaded: the frame.
+
+    Returns:
+        `jaxblur.metrics.Scores` by name; empty without a truth.
+    """
+    if loaded.truth is None:
+        return {}
+    shown = {name: loaded.colors.light(image) for name, image in images.items()}
+    return scores(shown, loaded.truth)
+
+
+def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
+    """Score images against a truth.
+
+    Args:
+        images: (H, W, C) linear light by name.
+        truth: (H, W, C) linear light.
+
+    Returns:
+        `jaxblur.metrics.Scores` by name.
+    """
+    from jaxblur import metrics
+
+    return {
+        name: metrics.compare(metrics.rgb(image), metrics.rgb(truth))
+        for name, image in images.items()
+    }
+
+
+def score_rows(scored: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Format `scores` as rows for `SCORE_COLUMNS`."""
+    return [score_cells(name, score._asdict()) for name, score in scored.items()]
+
+
+def score_cells(name: str, score: Mapping[str, float]) -> tuple[str, ...]:
+    """Format one score as a row for `SCORE_COLUMNS`."""
+    return name, f"{score['psnr']:.2f}", f"{score['ssim']:.4f}", f"{score['flip']:.4f}"

@@ -1,0 +1,14 @@
+"""``jaxblur blur`` and ``jaxblur layers`` on sequences.
+
+`options` are what only sequences have; `plan` says which frames are blurred, kept or passed, after
+all checks; `recognition` finds what their vectors mean; `frame_work` is the work on one frame;
+`run` does it for all of them; `report` prints what will be or was done.
+"""
+
+from .options import (
+    add_options as add_options,
+    is_asked_for as is_asked_for,
+    refuse_options as refuse_options,
+)
+from .plan import frames_on_disk as frames_on_disk
+from .run import blur_sequence as blur_sequence

@@ -1,0 +1,191 @@
+"""Which frames a run has, and what is to be done with each: all checks before any work."""
+
+import argparse
+import dataclasses
+import hashlib
+import logging
+import os
+import pathlib
+from typing import Any
+
+import jaxblur
+
+from .. import outputs, stack, strength
+from ..arguments import CommandError
+from ..choice import Choice
+from ..filtering import takes_neighbors
+from ..shutter import OPTIONS
+from .recognition import settle_convention
+
+LOG = logging.getLogger("jaxblur")
+
+# Options that do not change the pixels of an output: places, messages, workers. The file of
+# parameters counts by its contents.
+NOT_A_CHOICE = frozenset(
+    {
+        *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
+        *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
+        *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
+        # A file of cameras counts by its contents.
+        *("matte_from", "camera"),
+        # The quality counts by its samples.
+        *("quality", "allow_resize", "argv", "isolate", "memory", "time_limit", "threads", "fps"),
+        "require_motion",
+        # Cryptomattes count by whether they are blurred.
+        "cryptomatte",
+        # Neighbors count by whether they are used; the others are for single frames.
+        *("neighbors", "before", "after", "subframes"),
+        # The exposure counts by its times and its points.
+        *("exposure", *OPTIONS),
+        # Layers count by what is known of each before it is read; their files are inputs.
+        *("layers", "holdout", "still"),
+    }
+)
+
+
+def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
+    """Plan what is to be done with each frame, and settle what its vectors mean.
+
+    Args:
+        arguments: of the command; ``--preset auto`` may change, see `settle_convention`.
+        asked: filter, parameters and settings from the options.
+
+    Returns:
+        A `jaxblur.sequence.Plan`, and the names of the input, a `jaxblur.sequence.FrameNames`.
+
+    Raises:
+        CommandError: an option is wrong, or there is no frame.
+    """
+    from jaxblur.sequence import has_frame_number, plan_jobs
+
+    if arguments.workers and arguments.scheduler != "local":
+        raise CommandError("--workers: is for --scheduler local.")
+    for name in ("before", "after", "subframes"):
+        if getattr(arguments, name):
+            also = "" if name == "subframes" else ", which finds its neighbors by itself"
+            raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
+    sources, targets = _names(arguments)
+    frames = arguments.frames or frames_on_disk(sources["input"])
+    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
+        raise CommandError(
+            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
+            "truth.####.exr."
+        )
+    for frame in arguments.cut:
+        if frame not in frames:
+            raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    settle_convention(arguments, sources)
+    neighbors = _uses_neighbors(arguments, asked)
+    choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
+    choices |= {"cryptomatte": True} if arguments.cryptomatte else {}
+    plan = plan_jobs(
+        *(frames, sources, targets, choices),
+        overwrite=arguments.overwrite,
+        cuts=arguments.cut,
+        neighbors=neighbors,
+    )
+    return plan, sources["input"]
+
+
+def refuse(plan: Any, names: Any) -> None:
+    """Stop before any work if an output must not be replaced, or if there is no input.
+
+    Args:
+        plan: a `jaxblur.sequence.Plan`.
+        names: of the input.
+
+    Raises:
+        CommandError: it is so.
+    """
+    refused, missing = plan.with_action("refuse"), plan.with_action("missing")
+    if refused:
+        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
+        raise CommandError(f"{refused[0].reason}{more}.")
+    if len(missing) == len(plan.jobs):
+        raise CommandError(
+            f"{missing[0].reason}, nor any other frame asked for{_padding_hint(names)}."
+        )
+
+
+def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The roles of all files of a frame."""
+    return (*stack.roles(arguments), "velocity_from", "depth_from", "matte_from", "truth")
+
+
+def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
+    """Names of the inputs by role, and of the outputs."""
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    def placed(path: pathlib.Path) -> pathlib.Path:
+        # Workers may stand in another folder.
+        return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
+
+    given = {role: getattr(arguments, role) for role in roles(arguments)}
+    sources = {
+        role: parse_names(placed(path)) if has_frame_number(path) or role == "input" else path
+        for role, path in given.items()
+        if path is not None
+    }
+    outputs.check_output(arguments.output)
+    return sources, outputs.with_preview(arguments, parse_names(placed(arguments.output)))
+
+
+def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:
+    """Whether frames may see their neighbors; a plan may choose a filter that takes them."""
+    if arguments.neighbors == "off" or arguments.shutter == 0:
+        return False
+    if strength.looks_at_neighbors(arguments):
+        return True
+    return arguments.plan is not None or takes_neighbors(asked.name)
+
+
+def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
+    """Every choice that determines an output besides its inputs.
+
+    A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
+    default.
+    """
+    places = NOT_A_CHOICE | {*stack.roles(arguments)}
+    given = {key: value for key, value in vars(arguments).items() if key not in places}
+    if arguments.filter and ":" in arguments.filter:
+        given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
+    if arguments.exposure is not None:
+        given["exposure"] = arguments.exposure._asdict()
+    is_file = isinstance(arguments.camera, pathlib.Path)
+    given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
+    usual = dataclasses.asdict(type(asked.settings)())
+    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
+    chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
+    return given | chosen | {"version": jaxblur.__version__}
+
+
+def _sha256(path: str) -> str:
+    return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
+
+
+def frames_on_disk(names: Any) -> list[int]:
+    """The frames of a sequence that exist; missing ones between them give a warning.
+
+    Args:
+        names: a `jaxblur.sequence.FrameNames`.
+
+    Returns:
+        Their numbers, ascending.
+
+    Raises:
+        CommandError: there is none.
+    """
+    from jaxblur.sequence import missing_frames
+
+    frames = names.frames_on_disk()
+    if not frames:
+        raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
+    missing = missing_frames(frames)
+    if missing:
+        LOG.warning("%s: missing frames: %s.", names.pattern, missing)
+    return frames
+
+
+def _padding_hint(names: Any) -> str:
+    other = names.other_padding()
+    return f"; {other} has another padding; ## stands for two digits" if other else ""

@@ -1,0 +1,98 @@
+"""What a run will do or has done with each frame: records, printed as a table or as JSON."""
+
+import argparse
+import dataclasses
+import json
+import logging
+from collections.abc import Iterable
+from typing import Any
+
+from ..console import print_line, print_table
+from ..errors import FAILED
+from ..scores import SCORE_COLUMNS, score_cells
+
+LOG = logging.getLogger("jaxblur")
+
+
+def record_of(job: Any) -> dict[str, Any]:
+    """The record of a frame before any work; the run fills in what became of it."""
+    status = {"keep": "kept", "missing": "missing"}.get(job.action, "not done")
+    return {
+        "frame": job.frame,
+        "action": job.action,
+        "status": status,
+        "reason": job.reason,
+        "outputs": [str(path) for path in job.outputs],
+        "mean_speed": job.mean_speed,
+        "neighbors": list(job.neighbors),
+    }
+
+
+def print_plan(plan: Any, as_json: bool) -> int:
+    """Print what would be done with each frame.
+
+    Returns:
+        0, or 1 if a frame is missing or must not be written.
+    """
+    if as_json:
+        print(json.dumps({"frames": [record_of(job) for job in plan.jobs]}, indent=2))
+    else:
+        rows = [(job.frame, job.action, job.reason, job.outputs[0]) for job in plan.jobs]
+        print_table((">frame", "action", "why", "output"), rows)
+        print_line(counts_in(plan))
+    return FAILED if plan.with_action("missing", "refuse") else 0
+
+
+def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) -> None:
+    """Print what became of each frame, and warn of frames that look like camera cuts.
+
+    Args:
+        arguments: of the command.
+        records: of all frames, filled in by the run.
+    """
+    from jaxblur.sequence import find_cuts
+
+    speeds = {
+        record["frame"]: record["mean_speed"]
+        for record in records
+        if record["mean_speed"] is not None and record["action"] != "pass"
+    }
+    cuts = find_cuts(speeds)
+    for cut in cuts:
+        LOG.warning(
+            "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f; if the "
+            "camera cuts here, pass --cut %d to leave the frame unblurred.",
+            *(cut.frame, cut.speed, cut.usual, cut.frame),
+        )
+    if arguments.json:
+        cut_frames = [dataclasses.asdict(cut) for cut in cuts]
+        print(json.dumps({"frames": records, "cuts": cut_frames}, indent=2))
+        return
+    print_line(f"{arguments.output}: {_counts(r['status'] for r in records)}")
+    rows = _score_rows(records)
+    if rows:
+        print_table(("frame", *SCORE_COLUMNS), rows)
+
+
+def counts_in(plan: Any) -> str:
+    """How many frames a plan blurs, keeps and so on."""
+    return _counts(job.action for job in plan.jobs)
+
+
+def _counts(words: Iterable[str]) -> str:
+    """Count words: ``238 written, 2 kept``."""
+    counts: dict[str, int] = {}
+    for word in words:
+        counts[word] = counts.get(word, 0) + 1
+    return ", ".join(f"{count} {word}" for word, count in counts.items())
+
+
+def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
+    """A row for each frame that has a truth, and the means."""
+    scored = [record for record in records if record.get("scores")]
+    rows = [(r["frame"], *score_cells("output", r["scores"]["output"])) for r in scored]
+    for name in ("input", "output") if scored else ():
+        each = [record["scores"][name] for record in scored]
+        mean = {key: sum(score[key] for score in each) / len(each) for key in each[0]}
+        rows.append(("mean", *score_cells(name, mean)))
+    return rows

@@ -1,0 +1,179 @@
+"""Run the work over the frames of a sequence: threads or Dask, progress, failures."""
+
+import argparse
+import collections
+import logging
+import queue
+from collections.abc import Callable
+from typing import Any
+
+from .. import mattes, results, strength
+from ..arguments import in_option_names
+from ..choice import Choice
+from ..compute import start_jax
+from ..errors import FAILED, is_foreseeable, message_of
+from ..progress import about_frame, frame_messages, progress
+from . import report
+from .frame_work import FrameWork
+from .plan import make_plan, refuse
+
+LOG = logging.getLogger("jaxblur")
+
+WRITE_FAILURES = 3
+"""Frames in a row that cannot be written, after which the run stops."""
+
+
+def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
+    """Blur a sequence.
+
+    Args:
+        arguments: of the command.
+        asked: filter, parameters and settings from the options.
+
+    Returns:
+        0 if every frame is done, 1 if some are not.
+
+    Raises:
+        CommandError: before any work, since an option is wrong or an output must not be
+            replaced.
+    """
+    arguments.in_sequence = True
+    if arguments.seed is None:
+        # A pattern that stands still over a shot looks like dirt on the lens. The number of the
+        # frame alone decides, so that a frame is the same in every run and on every machine.
+        arguments.seed = "frame"
+    plan, names = make_plan(arguments, asked)
+    if arguments.dry_run:
+        return report.print_plan(plan, arguments.json)
+    refuse(plan, names)
+    if todo := plan.with_action("blur"):
+        mattes.warn_of_sharp(arguments, todo[0].inputs["input"])
+    return _Run(arguments, asked, plan).run()
+
+
+class _Run:
+    """A run over the frames of a plan, and its report."""
+
+    def __init__(self, arguments: argparse.Namespace, asked: Choice, plan: Any):
+        self.arguments, self.asked, self.plan = arguments, asked, plan
+        self.selects: list[bool] = []
+        self.records = {job.frame: report.record_of(job) for job in plan.jobs}
+
+    def run(self) -> int:
+        """Run the plan and report the outcome."""
+        todo = self.plan.with_action("blur", "pass")
+        LOG.info("%d frames: %s", len(self.plan.jobs), report.counts_in(self.plan))
+        for job in self.plan.with_action("missing"):
+            LOG.error("frame %d: %s", job.frame, job.reason)
+        if todo:
+            self._work(todo)
+        report.print_outcome(self.arguments, list(self.records.values()))
+        self._leave_result()
+        same = self.arguments.allow_resize or not self._resized()
+        done = all(record["status"] in ("written", "kept") for record in self.records.values())
+        return 0 if done and same and self._selects_something() else FAILED
+
+    def _selects_something(self) -> bool:
+        """Whether a scale of the motion is for any pixel of any frame; if not, that is reported."""
+        if any(self.selects) or len(self.selects) < len(self.plan.jobs):
+            return True
+        LOG.error("%s of any frame.", strength.SELECTS_NOTHING)
+        return False
+
+    def _done(self) -> list[Any]:
+        """The jobs whose outputs exist."""
+        return [
+            job
+            for job in self.plan.jobs
+            if self.records[job.frame]["status"] in ("written", "kept")
+        ]
+
+    def _resized(self) -> bool:
+        """Whether frames have another size than most; they are reported."""
+        from jaxblur import exr
+
+        sizes = {
+            job.frame: exr.inspect(job.outputs[0]).parts[0].display_window[2:]
+            for job in self._done()
+        }
+        ((usual, _),) = collections.Counter(sizes.values()).most_common(1) or [((0, 0), 0)]
+        others = {frame: size for frame, size in sizes.items() if size != usual}
+        for frame, (width, height) in others.items():
+            LOG.error(
+                "frame %d: has %dx%d pixels, most frames have %dx%d; render it again, or pass "
+                "--allow-resize.",
+                *(frame, width, height, *usual),
+            )
+        return bool(others)
+
+    def _leave_result(self) -> None:
+        there = self._done()
+        if self.arguments.result and there:
+            results.write(self.arguments, results.shots_of_frames(self.arguments, there))
+
+    def _work(self, todo: list[Any]) -> None:
+        outcomes = _outcomes(self.arguments, self.asked, todo)
+        before = [_times(job) for job in todo]
+        refused = 0
+        try:
+            with frame_messages(), progress(len(todo)) as tell:
+                for outcome in outcomes:
+                    self._note(outcome, tell)
+                    refused = refused + 1 if outcome.failed_in == "write" else 0
+                    if refused == WRITE_FAILURES:
+                        LOG.error("%d frames in a row cannot be written; stopping.", refused)
+                        break
+        except KeyboardInterrupt as interruption:
+            # Stages that run are finished first, so frames may be on disk that no record has yet.
+            outcomes.close()
+            pairs = zip(map(_times, todo), before, strict=True)
+            written = sum(None not in now and now != earlier for now, earlier in pairs)
+            raise KeyboardInterrupt(
+                f"interrupted; {written} of {len(todo)} frames are written; the same command "
+                "continues from there"
+            ) from interruption
+        finally:
+            outcomes.close()
+
+    def _note(self, outcome: Any, tell: Callable[[str], None]) -> None:
+        record = self.records[outcome.job.frame]
+        record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
+        with about_frame(outcome.job.frame):
+            for level, text in outcome.messages:
+                LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))
+        if outcome.error is None:
+            self.selects.append(outcome.result.pop("selects"))
+            record |= outcome.result
+            record["status"] = "written"
+            times = ", ".join(f"{stage} {t:.2f}" for stage, t in outcome.seconds.items())
+            total = sum(outcome.seconds.values())
+            tell(f"frame {outcome.job.frame} ok {total:.2f} s ({times})")
+            return
+        if not is_foreseeable(outcome.error) and outcome.failed_in != "worker":
+            raise outcome.error
+        reason = in_option_names(message_of(outcome.error), vars(self.arguments))
+        record |= {"status": "failed", "reason": reason}
+        LOG.error("frame %d: %s", outcome.job.frame, reason)
+        tell(f"frame {outcome.job.frame} failed")
+
+
+def _outcomes(arguments: argparse.Namespace, asked: Choice, todo: list[Any]) -> Any:
+    from jaxblur.sequence import Shared, run_cluster, run_pipeline
+
+    if arguments.scheduler:
+        work = FrameWork(arguments, asked).stages()
+        return run_cluster(todo, work, arguments.scheduler, arguments.workers or 2)
+    # Imported in this thread, not in the one that computes: imports are best done by one thread.
+    start_jax(not arguments.no_compile_cache)
+    import jax
+
+    devices: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    for device in jax.local_devices():
+        devices.put(device)
+    shared = Shared(number for job in todo for number in (job.frame, *job.neighbors))
+    return run_pipeline(todo, FrameWork(arguments, asked, devices, shared).stages())
+
+
+def _times(job: Any) -> list[int | None]:
+    """Modification time of each output of a frame, None where there is no file."""
+    return [path.stat().st_mtime_ns if path.exists() else None for path in job.outputs]

@@ -1,0 +1,191 @@
+"""``jaxblur blur`` and ``jaxblur layers`` on a single frame."""
+
+import argparse
+import dataclasses
+import logging
+import pathlib
+import re
+import time
+from typing import Any
+
+from . import blurring, mattes, outputs, results, stack, strength
+from .arguments import CommandError, check_outputs
+from .choice import Choice, choose
+from .compute import start_jax
+from .console import print_line, print_table
+from .filtering import report_ignored, require_neighbors, takes_neighbors
+from .loading import Loaded, load, mismatch, read
+from .progress import remarks_once
+from .scores import SCORE_COLUMNS, score_rows, scores_of
+from .shutter import option_of
+
+LOG = logging.getLogger("jaxblur")
+
+
+def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
+    """Blur one frame.
+
+    Args:
+        arguments: of the command.
+        asked: filter, parameters and settings from the options.
+
+    Returns:
+        0.
+
+    Raises:
+        CommandError: an option is wrong or an output must not be replaced.
+        JaxblurIOError: a file cannot be read or written.
+    """
+    from jaxblur import exr
+
+    arguments.in_sequence = False
+    if arguments.seed == "frame":
+        arguments.seed = _number_in(arguments.input)
+    outputs.check_output(arguments.output)
+    files = outputs.with_preview(arguments, arguments.output)
+    _check_neighbors(arguments, asked)
+    for source in _sources(arguments):
+        exr.inspect(source)
+        for output in files:
+            exr.refuse_overwrite(output, source)
+    outputs.warn_of_double_blur(arguments)
+    check_outputs(files, arguments.overwrite)
+    mattes.warn_of_sharp(arguments, arguments.input)
+    started = time.perf_counter()
+    with remarks_once():
+        loaded = _load(arguments, asked)
+        parts = _load_subframes(arguments, asked, loaded)
+    read = time.perf_counter()
+    if not loaded.selects:
+        raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
+
+    start_jax(not arguments.no_compile_cache)
+    chosen, blurred = _blur(arguments, asked, parts or [loaded])
+    changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
+    loaded = dataclasses.replace(loaded, changes=changes)
+    blurred = blurring.after_blur(arguments, chosen, loaded, blurred, arguments.seed)
+    done = time.perf_counter()
+    images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
+    scored = scores_of(images, loaded)
+    notes = outputs.provenance(arguments, chosen, loaded)
+    if parts:
+        names = ", ".join(path.name for path in _subframe_files(arguments))
+        notes = {**notes, outputs.SUBFRAMES: names}
+    outputs.write(arguments, files, blurred, notes, loaded)
+    LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
+    for output in files:
+        print_line(f"{output}")
+    report_ignored(arguments.input, loaded.buffers.ignored)
+    if scored:
+        print_table(SCORE_COLUMNS, score_rows(scored))
+    if arguments.result:
+        settings = results.settings_of(chosen)
+        name, sources = arguments.input.name, vars(arguments)
+        picture = loaded.picture(blurred)
+        shot = results.make_shot(name, loaded, picture, chosen.name, settings, sources)
+        results.write(arguments, [shot])
+    return 0
+
+
+def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:
+    """Read the frame, and its neighbors by the same options."""
+    loaded = load(arguments, asked.settings)
+    neighbors = {
+        side: read(argparse.Namespace(**vars(arguments) | files))
+        for side in ("before", "after")
+        if (files := stack.files_of(arguments, side))
+    }
+    for side, source in neighbors.items():
+        if differs := mismatch(loaded, source):
+            raise CommandError(f"--{side}: {source.path} {differs}; render both alike.")
+    return loaded.with_neighbors(neighbors)
+
+
+def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> list[Loaded]:
+    """Read the sub-frames, each with the motion of its part of the exposure and its neighbors."""
+    files = _subframe_files(arguments)
+    shutter = arguments.shutter / max(len(files), 1)
+    changes = {"shutter": shutter, "exposure": None, "truth": None}
+    parts = [argparse.Namespace(**vars(arguments) | changes | {"input": path}) for path in files]
+    sources = [read(part) for part in parts]
+    for source in sources:
+        if differs := mismatch(loaded, source):
+            raise CommandError(f"--subframes: {source.path} {differs}; render all alike.")
+    frames = []
+    for index, (part, source) in enumerate(zip(parts, sources, strict=True)):
+        near = {
+            "before": sources[max(index - 1, 0) : index],
+            "after": sources[index + 1 : index + 2],
+        }
+        found = {side: one[0] for side, one in near.items() if one}
+        frame = load(part, asked.settings, source).with_neighbors(found)
+        # From one sub-frame to the next it takes as long as its part of the exposure.
+        frames.append(dataclasses.replace(frame, shutter=1.0))
+    return frames
+
+
+def _subframe_files(arguments: argparse.Namespace) -> list[pathlib.Path]:
+    """The sub-frames on disk in the order of their numbers; none without the option."""
+    from jaxblur.sequence import parse_names
+
+    if arguments.subframes is None:
+        return []
+    names = parse_names(arguments.subframes)
+    return [names.path(number) for number in names.frames_on_disk()]
+
+
+def _blur(arguments: argparse.Namespace, asked: Choice, parts: list[Loaded]) -> tuple[Choice, Any]:
+    """Blur the parts of the exposure, or the one frame of all of it, and take the mean."""
+    fastest = max(parts, key=lambda part: part.speeds.suggested_radius)
+    chosen = choose(arguments, asked, fastest)
+    if parts[0].neighbors and not takes_neighbors(chosen.name) and not arguments.subframes:
+        LOG.warning("%s takes no neighbors: --before and --after are not used.", chosen.name)
+    total = blurring.blur(chosen, parts[0], arguments.seed)
+    for part in parts[1:]:
+        total = total + blurring.blur(chosen, part, arguments.seed)
+    return chosen, total / len(parts) if len(parts) > 1 else total
+
+
+def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:
+    """Reject neighbors and sub-frames that cannot be used, before any work."""
+    sides = [side for side in ("before", "after") if getattr(arguments, side) is not None]
+    more = [*sides, *(["subframes"] if arguments.subframes is not None else [])]
+    if not more:
+        return
+    if arguments.shutter == 0:
+        raise CommandError(f"--{more[0]}: --shutter 0 blurs nothing; leave out one of the two.")
+    for option in ("velocity_from", "depth_from", "matte_from"):
+        if getattr(arguments, option) is not None:
+            raise CommandError(
+                f"--{more[0]}: such frames bring their own vectors, depth and mattes; leave out "
+                f"--{option.replace('_', '-')}, or give the frames as a sequence: name.####.exr."
+            )
+    if sides and arguments.subframes is not None:
+        raise CommandError(
+            f"--{sides[0]}: sub-frames are neighbors of each other; leave out one of the two."
+        )
+    if arguments.subframes is not None and arguments.exposure is not None:
+        raise CommandError(
+            f"{option_of(arguments)}: sub-frames are equal parts of an exposure centered on the "
+            "frame; leave out one of the two."
+        )
+    if sides and arguments.plan is None:
+        require_neighbors(asked.name, f"--{sides[0]}")
+    if arguments.subframes is not None and not _subframe_files(arguments):
+        raise CommandError(f"--subframes: {arguments.subframes}: no such files.")
+
+
+def _number_in(path: pathlib.Path) -> int:
+    """The number of a frame, which is the last one in its name, for ``--seed frame``."""
+    numbers = re.findall(r"\d+", path.stem)
+    if not numbers:
+        raise CommandError(f"--seed frame: {path.name} has no frame number; give a number.")
+    return int(numbers[-1])
+
+
+def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
+    files = [getattr(arguments, role) for role in stack.roles(arguments)]
+    files += [arguments.velocity_from, arguments.depth_from, arguments.truth]
+    near = [path for s in ("before", "after") for path in stack.files_of(arguments, s).values()]
+    more = (arguments.matte_from, *near, *_subframe_files(arguments))
+    return [path for path in (*files, *more) if path is not None]
