@@ -341,13 +341,13 @@ def test_many_parts_are_listed_once(tmp_path, monkeypatch):
         parts.append((make_spec(more, name=f"part{index}"), more))
     path = write_parts(tmp_path / "parts.exr", parts)
     opened = []
-    open_input = exr.files.open_input
+    open_input = exr.opening.open_input
 
     def counted(name):
         opened.append(name)
         return open_input(name)
 
-    for module in (exr.files, exr.survey):
+    for module in (exr.channels, exr.listing, exr.survey):
         monkeypatch.setattr(module, "open_input", counted)
     outcome = run("info", path)
     assert outcome.status == 0 and "part39.extra39" in outcome.out

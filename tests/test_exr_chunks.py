@@ -5,7 +5,7 @@ import OpenImageIO as oiio
 import pytest
 
 from jaxblur import exr
-from jaxblur.exr import write
+from jaxblur.exr import write_like
 from tests.exr_files import make_spec, plain_frame, read_raw, write_parts
 
 SHAPE = (40, 24)
@@ -34,9 +34,9 @@ def source_of(path, compression, tile=0, name="data"):
 def copies(monkeypatch):
     """What is copied as it is stored, and how often pixels are decoded."""
     found = []
-    copy = write.copy_chunks
+    copy = write_like.copy_chunks
     monkeypatch.setattr(
-        write, "copy_chunks", lambda *given: (found.append(given[2]), copy(*given))[1]
+        write_like, "copy_chunks", lambda *given: (found.append(given[2]), copy(*given))[1]
     )
     return found
 

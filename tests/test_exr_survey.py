@@ -11,7 +11,7 @@ from tests.exr_files import CAR, make_spec, plain_frame, write_parts, write_sing
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
     """As few rows as can be at once: 256 lines, or one row of tiles."""
-    monkeypatch.setattr(exr.files, "BLOCK", 1)
+    monkeypatch.setattr(exr.channels, "BLOCK", 1)
     monkeypatch.setattr(vectors.statistics, "PIXELS_AT_ONCE", 1)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
-from jaxblur.exr import output
+from jaxblur.exr import listing, output, write_like
 from jaxblur.exr.header import relabel_as_uint
 from tests.exr_files import (
     CAR,
@@ -410,7 +410,7 @@ def test_a_mip_mapped_model_gives_its_first_level_without_the_others(tmp_path):
 
 def test_compression_that_the_library_cannot_write_is_reported(tmp_path, monkeypatch):
     source = write_single(tmp_path / "in.exr", plain_frame(), compression="piz")
-    writer = exr.write.writer
+    writer = write_like.writer
 
     def without_piz(path, temporary, specs, finish=None):
         others = [oiio.ImageSpec(spec) for spec in specs]
@@ -418,7 +418,7 @@ def test_compression_that_the_library_cannot_write_is_reported(tmp_path, monkeyp
             spec.attribute("compression", "zips")
         return writer(path, temporary, others, finish)
 
-    monkeypatch.setattr(exr.write, "writer", without_piz)
+    monkeypatch.setattr(write_like, "writer", without_piz)
     with pytest.warns(exr.JaxblurIOWarning, match=r"in.exr: part 0 is stored with zips, .* piz"):
         exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
 
@@ -427,7 +427,7 @@ def test_a_deep_part_beside_the_picture_is_dropped_or_refused(tmp_path, monkeypa
     frame = plain_frame()
     smoke = {"smoke.A": frame["R"], "smoke.Z": frame["Z"]}
     parts = [(make_spec(frame, name="rgb"), frame), (make_spec(smoke, name="smoke"), smoke)]
-    source, describe = write_parts(tmp_path / "in.exr", parts), exr.files.describe
+    source, describe = write_parts(tmp_path / "in.exr", parts), listing.describe
 
     def with_a_deep_part(*arguments):
         # OpenImageIO cannot write such a file for this test.
@@ -435,7 +435,7 @@ def test_a_deep_part_beside_the_picture_is_dropped_or_refused(tmp_path, monkeypa
         flat, deep = info.parts
         return dataclasses.replace(info, parts=(flat, dataclasses.replace(deep, deep=True)))
 
-    monkeypatch.setattr(exr.write, "describe", with_a_deep_part)
+    monkeypatch.setattr(write_like, "describe", with_a_deep_part)
     with pytest.raises(exr.JaxblurIOError, match=r"part 1 of .*in.exr is deep.*extra='drop'"):
         exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source)
     exr.write_image(tmp_path / "out.exr", np.ones((4, 6, 3)), like=source, extra="drop")

@@ -1,4 +1,4 @@
-"""The error of files that cannot be read or written."""
+"""The error and the warning of files that are read or written."""
 
 import os
 
@@ -24,3 +24,7 @@ class JaxblurIOError(Exception):
 
     def __reduce__(self) -> tuple[type, tuple[str, str]]:
         return type(self), (self.path, self.reason)
+
+
+class JaxblurIOWarning(UserWarning):
+    """Something in a file is suspicious or was changed, but the work went on."""

@@ -22,7 +22,10 @@ and, where there is alpha, premultiplied; it is neither clipped nor converted. O
 `conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.
 """
 
-from .._util.errors import JaxblurIOError as JaxblurIOError
+from .._util.errors import (
+    JaxblurIOError as JaxblurIOError,
+    JaxblurIOWarning as JaxblurIOWarning,
+)
 from .blurred_ranks import PLANES as PLANES, blur_ranks as blur_ranks
 from .cameras import (
     CameraFile as CameraFile,
@@ -31,6 +34,7 @@ from .cameras import (
     header_camera as header_camera,
     read_camera_file as read_camera_file,
 )
+from .channels import read_channels as read_channels, read_values as read_values
 from .choose import (
     ColorGroup as ColorGroup,
     borrowed_from as borrowed_from,
@@ -46,6 +50,7 @@ from .color import (
     check_view as check_view,
     conversion_of as conversion_of,
 )
+from .convert import DEPTH_KINDS as DEPTH_KINDS
 from .cryptomatte import (
     CryptomatteLayer as CryptomatteLayer,
     cryptomatte_layers as cryptomatte_layers,
@@ -55,16 +60,13 @@ from .cryptomatte import (
     read_cryptomatte as read_cryptomatte,
 )
 from .deep import is_deep as is_deep, read_deep_layers as read_deep_layers
-from .files import (
+from .listing import (
     Channel as Channel,
     FileInfo as FileInfo,
-    FileStates as FileStates,
-    JaxblurIOWarning as JaxblurIOWarning,
     Part as Part,
     inspect as inspect,
-    read_channels as read_channels,
-    read_values as read_values,
 )
+from .opening import FileStates as FileStates
 from .passes import choose_passes as choose_passes
 from .ranks import (
     ChannelChange as ChannelChange,
@@ -74,7 +76,6 @@ from .ranks import (
     unchanged_ranks as unchanged_ranks,
 )
 from .read import (
-    DEPTH_KINDS as DEPTH_KINDS,
     Buffers as Buffers,
     read_buffers as read_buffers,
     read_depth as read_depth,

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import nearest
 
-from .files import FileInfo, Part
+from .listing import FileInfo, Part
 
 WORLD_TO_CAMERA, WORLD_TO_NDC = "worldToCamera", "worldToNDC"
 """Header attributes of OpenEXR, which Arnold, Karma, Mantra and RenderMan can write."""

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxblur import vectors
-from jaxblur._util.errors import JaxblurIOError, PathLike
+from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import not_finite
 
-from .files import Channel, FileInfo, JaxblurIOWarning
+from .listing import Channel, FileInfo
 
 # Squares of much larger displacements overflow single precision; no picture is that large.
 SPEED_LIMIT = 1e6

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError
 
-from .files import FileInfo, Part
+from .listing import FileInfo, Part
 
 # Names of layers that hold the picture, the clearest first; the empty name is the root layer.
 COLOR_LAYERS = ("", "combined", "rgba", "rgb", "beauty", "color", "c", "main", "finalimage")

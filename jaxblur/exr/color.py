@@ -16,8 +16,9 @@ import OpenImageIO as oiio
 from jaxtyping import Float
 
 from jaxblur import srgb
+from jaxblur._util.errors import JaxblurIOWarning
 
-from .files import FileInfo, JaxblurIOWarning
+from .listing import FileInfo
 
 BUILT_IN = "ocio://default"
 LINEAR_SRGB = "lin_rec709_scene"

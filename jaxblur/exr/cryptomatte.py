@@ -23,7 +23,8 @@ from jaxtyping import Float
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import nearest
 
-from .files import FileInfo, inspect, read_channels
+from .channels import read_channels
+from .listing import FileInfo, inspect
 
 _ENTRY = re.compile(r"cryptomatte/(?P<key>[^/]+)/(?P<field>\w+)")
 _COMPONENTS = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2, "alpha": 3}

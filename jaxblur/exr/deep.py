@@ -21,8 +21,10 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 
 from .checks import check_speed
 from .choose import choose_color, choose_depth, choose_vectors
-from .files import FileInfo, inspect, open_input, pending_message
-from .read import Buffers, ReadOptions, depth_kind_of, half_spread, to_distance
+from .convert import depth_kind_of, half_spread, to_distance
+from .listing import FileInfo, inspect
+from .opening import open_input, pending_message
+from .read import Buffers, ReadOptions
 
 BINS = 1024
 """Log depths at which a picture can be cut."""

@@ -1,15 +1,24 @@
-"""Write through OpenImageIO, with checks that opening, writing and closing succeeded."""
+"""Headers and writers of OpenImageIO, with checks that opening, writing and closing succeeded."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import OpenImageIO as oiio
 
-from .._util.errors import JaxblurIOError, PathLike
-from .files import open_input, pending_message
+from .._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
+from .opening import open_input, pending_message
 
 PNG_END = b"IEND\xaeB`\x82"
+HALF_MAX = 65504.0
+# These attributes describe how a model is stored, which may change; with `textureformat` the writer
+# would expect all levels of a mip-mapped picture.
+STORAGE = (
+    *("openexr:chunkCount", "openexr:levelmode", "openexr:roundingmode", "oiio:miplevels"),
+    *("textureformat", "openexr:dwaCompressionLevel"),
+)
 
 
 @contextlib.contextmanager
@@ -96,3 +105,48 @@ def check(path: PathLike, output: Any, succeeded: bool) -> None:
     """
     if not succeeded:
         raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")
+
+
+def set_formats(spec: Any, kinds: Sequence[str]) -> None:
+    """Set the types of the channels of a header.
+
+    Args:
+        spec: an ``OpenImageIO.ImageSpec`` with names of channels.
+        kinds: OpenImageIO's name of the type of each.
+    """
+    widest = next((kind for kind in ("float", "uint", "half") if kind in kinds), kinds[0])
+    spec.set_format(widest)
+    mixed = len(set(kinds)) > 1
+    spec.channelformats = [oiio.TypeDesc(kind) for kind in kinds] if mixed else []
+    names = list(spec.channelnames)
+    is_alpha = [name.rpartition(".")[2] == "A" for name in names]
+    spec.alpha_channel = is_alpha.index(True) if True in is_alpha else -1
+    spec.z_channel = -1
+
+
+def set_attributes(spec: Any, attributes: Mapping[str, str | int | float] | None) -> None:
+    """Add metadata to a header."""
+    for name, value in (attributes or {}).items():
+        spec.attribute(name, value)
+
+
+def clamp_half(path: PathLike, values: np.ndarray) -> np.ndarray:
+    """Clamp values to the range of half, with a warning if there are some beyond.
+
+    Args:
+        path: the final name, for messages.
+        values: of any shape.
+
+    Returns:
+        The values themselves if none is beyond.
+    """
+    over = np.abs(values) > HALF_MAX
+    if over.any():
+        warnings.warn(
+            f"{path}: {int(over.sum())} values beyond {HALF_MAX:.0f} were clamped to the range of "
+            "half; write float to keep them.",
+            JaxblurIOWarning,
+            stacklevel=4,
+        )
+        return np.clip(values, -HALF_MAX, HALF_MAX)
+    return values

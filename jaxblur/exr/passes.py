@@ -10,7 +10,7 @@ from jaxblur._util.errors import JaxblurIOError
 from jaxblur._util.text import nearest
 
 from .choose import ColorGroup, color_layers
-from .files import FileInfo
+from .listing import FileInfo
 
 Passes = Sequence[str] | Literal["all"]
 """Names or patterns of layers, or all of them."""

@@ -12,9 +12,10 @@ from jaxtyping import Float, Int, UInt32
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
+from .channels import read_channels
 from .choose import ColorGroup, views_of
 from .cryptomatte import CryptomatteLayer, cryptomatte_layers
-from .files import FileInfo, inspect, read_channels
+from .listing import FileInfo, inspect
 
 
 class Ranks(NamedTuple):

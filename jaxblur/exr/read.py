@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxblur import srgb, vectors
-from jaxblur._util.errors import JaxblurIOError, PathLike
+from jaxblur import vectors
+from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy
 
-from .checks import check_speed, refuse, refuse_or_zero, warn_lossy, without_depth
+from .channels import read_channels, read_together
+from .checks import check_speed, refuse_or_zero, warn_lossy, without_depth
 from .choose import (
     ColorGroup,
     borrowed_from,
@@ -21,16 +22,12 @@ from .choose import (
     choose_vectors,
     views_of,
 )
-from .color import INTEGERS
-from .files import FileInfo, JaxblurIOWarning, inspect, read_channels, read_together
+from .convert import DEPTH_KINDS, as_light, depth_kind_of, half_spread, to_distance
+from .listing import FileInfo, inspect
 from .passes import Passes, choose_passes
 
 if TYPE_CHECKING:
     from jaxblur.frame import Frame
-
-DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
-# Renderers that cannot write infinity store 1e10 or 1e30 for the sky.
-SKY_DEPTH = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,7 +203,7 @@ def read_buffers(
     for data, names in wanted[1:]:
         _check_window(data, names, info, group)
     colors, vectors_read, *more = read_together(wanted)
-    color, unknown = _as_light(info, group, colors, nonfinite)
+    color, unknown = as_light(info, group, colors, nonfinite)
     if passes:
         extra, lacking = refuse_or_zero(info.path, passes, more[0], nonfinite)
         unknown = unknown | lacking
@@ -259,7 +256,7 @@ def read_image(
     """
     info = inspect(path)
     group = choose_color(info, layer, color_channels)
-    return _as_light(info, group, read_channels(info.path, group.channels), "error")[0]
+    return as_light(info, group, read_channels(info.path, group.channels), "error")[0]
 
 
 def read_depth(
@@ -296,50 +293,6 @@ def read_depth(
     return to_distance(raw, depth, info.path, channel)
 
 
-def to_distance(
-    raw: Float[np.ndarray, "height width"], kind: str, path: PathLike, channel: str
-) -> Float[np.ndarray, "height width"]:
-    """Convert stored depth to positive distance, with +inf for the background.
-
-    A pixel is background if its value is not finite, 1e9 or more, or 0 (for every kind of depth).
-
-    Args:
-        raw: (H, W) as stored.
-        kind: "z", "-z", "1/z" or "normalized-near1", as in `read_buffers`.
-        path: file, for messages.
-        channel: channel, for messages.
-
-    Returns:
-        (H, W) float32, positive, +inf for background.
-
-    Raises:
-        JaxblurIOError: values contradict the kind of depth.
-    """
-    values = -raw if kind.startswith("-") else raw
-    hit = np.isfinite(values) & (values < SKY_DEPTH) & (values != 0)
-    refuse(hit & (values < 0), path, channel, "negative", _NEGATIVE_DEPTH[kind])
-    if kind == "normalized-near1":
-        refuse(hit & (values > 1), path, channel, "above 1", "pass depth='z' if it is a distance.")
-        distance = 2 - values
-    elif kind in ("1/z", "-1/z"):
-        far = (values >= SKY_DEPTH) & np.isfinite(values)
-        refuse(far, path, channel, "1e9 or more", "pass depth='z', this is not an inverse.")
-        with np.errstate(over="ignore"):
-            distance = 1 / np.where(hit, values, np.float32(1))
-    else:
-        distance = values
-    return np.where(hit, distance, np.inf).astype(np.float32)
-
-
-_NEGATIVE_DEPTH = {
-    "z": "pass depth='-z' if the camera looks along -z, or render depth again.",
-    "-z": "pass depth='z', distances are positive here.",
-    "1/z": "pass depth='-1/z' if the camera looks along -z, or render depth again.",
-    "-1/z": "pass depth='1/z', inverse distances are positive here.",
-    "normalized-near1": "pass depth='z' or '-z', values must lie in 0..1.",
-}
-
-
 def _check_arguments(preset: str, shutter: float, depth: str, nonfinite: str) -> None:
     if preset != "auto":
         vectors.known_preset(preset)
@@ -359,34 +312,6 @@ def _warn_borrowed(info: FileInfo, layer: str | None, what: str, names: Sequence
         warnings.warn(f"{info.path}: {what}: {words}.", JaxblurIOWarning, stacklevel=3)
 
 
-def _as_light(
-    info: FileInfo, group: ColorGroup, color: np.ndarray, nonfinite: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Stored color as linear light, and a mask of unknown pixels; integer files hold sRGB."""
-    for index, name in enumerate(group.channels):
-        if info.channel(name).type in INTEGERS and name != group.alpha:
-            color[..., index] = srgb.decode(color[..., index])
-    return refuse_or_zero(info.path, group.channels, color, nonfinite)
-
-
-def depth_kind_of(depth: str, guess: vectors.Guess, channel: str, path: PathLike) -> str:
-    """Resolve "auto"; warn if it means anything but plain distance."""
-    if depth != "auto":
-        return depth
-    kind = guess.preset.depth
-    if kind == "1/z" and channel == "Z":
-        # OpenEXR reserves the plain name Z for distance; inverse depth is in a named layer.
-        return "z"
-    if kind != "z":
-        warnings.warn(
-            f"{path}: depth is read as {kind}, as {guess.preset.name} usually writes it; pass "
-            f"depth='{kind}' or depth='z' to choose explicitly.",
-            JaxblurIOWarning,
-            stacklevel=3,
-        )
-    return kind
-
-
 def _check_window(
     data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
 ) -> None:
@@ -403,49 +328,3 @@ def _window(info: FileInfo, channel: str) -> str:
     """Format a data window, such as ``6x4 at (-1, 0)``."""
     x, y, width, height = info.parts[info.channel(channel).part].data_window
     return f"{width}x{height} at ({x}, {y})"
-
-
-def half_spread(
-    info: FileInfo,
-    guess: vectors.Guess,
-    raw: np.ndarray,
-    still: np.ndarray,
-    alpha: np.ndarray | None,
-    shutter: float,
-    scale: dict[str, float | None],
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Compute the velocity and, if known, the path.
-
-    Args:
-        info: listing of the file with the vectors.
-        guess: their convention.
-        raw: (H, W, 2 or 4) vectors as stored, or some rows of them.
-        still: (H, W) True where the vector is unknown and counts as at rest.
-        alpha: (H, W) coverage, or None.
-        shutter: exposure in frames.
-        scale: ``max_displace`` and ``file_shutter``, as in `read_buffers`.
-
-    Returns:
-        (H, W, 2) half-spread, and (H, W, 2, 2) or None, as in `Buffers`.
-
-    Raises:
-        JaxblurIOError: the convention needs an argument that was not given.
-    """
-    *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
-    # Damaged values may overflow here; `check_speed` or the caller's statistics report them.
-    with np.errstate(invalid="ignore", over="ignore"):
-        try:
-            displacements = vectors.to_displacements(
-                raw, guess, size=(height, width), alpha=alpha, **scale
-            )
-        except ValueError as error:
-            raise JaxblurIOError(info.path, str(error)) from error
-        velocity, curve = vectors.to_half_spread(displacements, shutter)
-    return _stopped(velocity, still), None if curve is None else _stopped(curve, still)
-
-
-def _stopped(motion: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Set unknown velocities or paths to 0, because the raw value of rest may differ from 0."""
-    if not still.any():
-        return motion
-    return np.where(still.reshape(*still.shape, *(1,) * (motion.ndim - 2)), np.float32(0), motion)

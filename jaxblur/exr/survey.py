@@ -9,10 +9,12 @@ from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur.nonfinite import not_finite
 
+from .channels import read_blocks
 from .checks import warn_lossy
 from .choose import choose_color, is_depth
-from .files import FileInfo, describe, open_input, read_blocks
-from .read import half_spread
+from .convert import half_spread
+from .listing import FileInfo, describe
+from .opening import open_input
 
 
 def count_not_finite(path: PathLike) -> dict[str, int]:
