@@ -44,8 +44,11 @@ from .filters.tiles import (
 )
 from .fitting import FitResult as FitResult, fit as fit
 from .frame import Frame as Frame
-from .gradient_check import check_gradient as check_gradient
-from .gradient_table import GradientCheck as GradientCheck, GradientRow as GradientRow
+from .gradient_check import (
+    GradientCheck as GradientCheck,
+    GradientRow as GradientRow,
+    check_gradient as check_gradient,
+)
 from .noise import Noise as Noise, shared_noise as shared_noise
 from .nonfinite import finite_frame as finite_frame
 from .planning import (

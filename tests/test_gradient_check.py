@@ -12,8 +12,8 @@ import pytest
 from scipy import ndimage
 
 import jaxblur
-from jaxblur import check_gradient, gradient_check
-from jaxblur.gradient_check import fastest_object
+from jaxblur import check_gradient
+from jaxblur.gradient_check import fastest_object, quantities
 from tests.helpers import random_frame
 
 SIZE = (48, 64)
@@ -211,9 +211,9 @@ def test_velocity_and_path_change_together():
     frame = frame.replace(path=jnp.stack([-frame.velocity, frame.velocity], axis=-2))
     object = np.asarray(frame.depth) < 5
     moved = {
-        **gradient_check._of_camera(frame, turning_camera),
-        **gradient_check._of_object(frame, object),
-        "all": gradient_check._scaled(frame, 0.7),
+        **quantities.camera_directions(frame, turning_camera),
+        **quantities.object_directions(frame, object),
+        "all": quantities.scaled(frame, 0.7),
     }
     for name, move in moved.items():
         after = move(0.1)
@@ -230,7 +230,7 @@ def test_velocity_and_path_change_together():
 def test_an_object_turns_without_changing_its_speed():
     frame = jaxblur.Frame(np.zeros((2, 3, 1)), np.ones((2, 3)), np.full((2, 3, 2), [3.0, 0.0]))
     frame = jax.tree.map(jnp.asarray, frame)
-    turned = gradient_check._of_object(frame, np.ones((2, 3), bool))["object direction"](0.1)
+    turned = quantities.object_directions(frame, np.ones((2, 3), bool))["object direction"](0.1)
     expected = 3 * np.array([math.cos(0.1), math.sin(0.1)])
     np.testing.assert_allclose(turned.velocity, np.broadcast_to(expected, (2, 3, 2)), rtol=1e-6)
 
@@ -258,7 +258,7 @@ def test_sky_keeps_its_depth_and_gives_numbers():
     frame = random_frame((12, 20), speed=4.0, sky=0.5)
     table = small(frame=frame, object=np.ones((12, 20), bool))
     assert all(math.isfinite(row.reverse) and math.isfinite(row.difference) for row in table.rows)
-    nearer = gradient_check._of_object(frame, np.ones((12, 20), bool))["object depth"]
+    nearer = quantities.object_directions(frame, np.ones((12, 20), bool))["object depth"]
     _, change = jax.jvp(nearer, (0.0,), (1.0,))
     sky = np.isinf(frame.depth)
     np.testing.assert_array_equal(nearer(0.1).depth[sky], np.inf)
@@ -268,12 +268,12 @@ def test_sky_keeps_its_depth_and_gives_numbers():
 def test_a_parameter_at_the_end_of_its_range_is_moved_inside():
     info = jaxblur.filter_info("layered")
     frame = random_frame((12, 20), speed=4.0)
-    here = gradient_check._Point(frame, info.make_parameters(jitter=1.0, bend=0.0))
-    quantities = {q.name: q for q in gradient_check._of_parameters(info, here, 0.02)}
-    assert quantities["jitter"].move(0.02).parameters.jitter == pytest.approx(1)
-    assert quantities["jitter"].at == pytest.approx(1 / 1.02)
-    assert quantities["bend"].move(0.02).parameters.bend == 0.02
-    assert quantities["distinct"].move(0.02).parameters.distinct == pytest.approx(20.4)
+    here = quantities.Point(frame, info.make_parameters(jitter=1.0, bend=0.0))
+    found = {q.name: q for q in quantities.parameter_quantities(info, here, 0.02)}
+    assert found["jitter"].move(0.02).parameters.jitter == pytest.approx(1)
+    assert found["jitter"].at == pytest.approx(1 / 1.02)
+    assert found["bend"].move(0.02).parameters.bend == 0.02
+    assert found["distinct"].move(0.02).parameters.distinct == pytest.approx(20.4)
 
 
 def test_the_fastest_object_is_found(scene):

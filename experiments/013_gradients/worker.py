@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxblur
-from jaxblur import gradient_check as check
 from jaxblur.filters import filter_info
+from jaxblur.gradient_check import check, measure, quantities
 from jaxblur.kernels import places
 
 
@@ -62,21 +62,21 @@ def tables(files: list[Path], name: str, settings: Any, draws: int) -> list[Any]
 
 
 def without_differences(
-    programs: Any, quantities: Any, truth: Any, noises: Any, step: float, forward: bool, tell: Any
+    programs: Any, asked: Any, truth: Any, noises: Any, step: float, forward: bool, tell: Any
 ) -> Any:
-    """In place of `check._measure`: derivatives alone, for values are the same with texels held."""
-    points = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in quantities]
-    slopes = check._reverse(programs, points, truth, noises)
-    return [check._Measured(slope, np.array([]), np.ones(len(noises))) for slope in slopes]
+    """In place of `measure.measure`: derivatives alone; values are the same with texels held."""
+    points = [jax.jvp(quantity.move, (0.0,), (1.0,)) for quantity in asked]
+    slopes = measure.reverse(programs, points, truth, noises)
+    return [measure.Measured(slope, np.array([]), np.ones(len(noises))) for slope in slopes]
 
 
 def times(file: Path, name: str, settings: Any, rounds: int) -> dict[str, Any]:
     """Processor milliseconds, medians: of a loss and of its gradients."""
     frame, truth = read(file)
     info = filter_info(name)
-    programs = check._compile(info, settings, check.squared_error)
-    noise = check._draw(2, 0, frame)[0]
-    point = check._Point(frame, jax.tree.map(jnp.float32, info.make_parameters()))
+    programs = measure.compile_programs(info, settings, check.squared_error)
+    noise = measure.draw_noise(2, 0, frame)[0]
+    point = quantities.Point(frame, jax.tree.map(jnp.float32, info.make_parameters()))
 
     @jax.jit
     def of_parameters(point: Any, truth: Any, noise: Any) -> Any:
@@ -102,7 +102,7 @@ def main() -> None:
     folder, result, name, fetch, draws, rounds, texels = sys.argv[1:]
     if texels == "held":
         places._Stage.places = ()  # pyright: ignore[reportAttributeAccessIssue]
-        check._measure = without_differences
+        check.measure = without_differences
     files = sorted(Path(folder).glob("*.npz"))
     settings = filter_info(name).make_settings(fetch=fetch)
     found = {

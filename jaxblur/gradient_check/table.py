@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from .settings import Settings
+from ..settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
