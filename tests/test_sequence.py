@@ -14,6 +14,7 @@ from jaxblur.sequence import (
     Stage,
     digest,
     find_cuts,
+    frame_number,
     has_frame_number,
     missing_frames,
     parse_frames,
@@ -21,6 +22,7 @@ from jaxblur.sequence import (
     plan_jobs,
     run_pipeline,
     run_stages,
+    with_frame_number,
 )
 from jaxblur.sequence.jobs import DIGEST, INPUT_STATE, MEAN_SPEED
 from tests.exr_files import plain_frame, write_single
@@ -49,6 +51,13 @@ def test_numbers_below_zero_and_beyond_the_padding():
     names = parse_names("b.####.exr")
     assert [str(names.path(n)) for n in (-4, 12345)] == ["b.-004.exr", "b.12345.exr"]
     assert str(names.with_suffix(".png").path(1)) == "b.0001.png"
+
+
+def test_the_number_of_a_frame_is_the_last_in_its_name():
+    assert frame_number("sh010/v2_beauty.0099.exr") == 99
+    assert frame_number("sh010/beauty.exr") is None
+    after = with_frame_number("sh010/v2_beauty.0099.exr", 100)
+    assert after.as_posix() == "sh010/v2_beauty.0100.exr"
 
 
 @pytest.mark.parametrize("name", ["plain.exr", "plain.0012.exr", "fold#er/plain.exr"])

@@ -91,7 +91,7 @@ def _read_deep(arguments: argparse.Namespace) -> tuple[tuple[Any, ...], bool]:
     path, count = arguments.input, arguments.deep_layers or DEEP_LAYERS
     if arguments.sky == "camera":
         raise CommandError(f"--sky camera: {path} is deep; leave it out, or flatten the file.")
-    if strength.passes_of(arguments):
+    if sources.passes_of(arguments):
         raise CommandError(
             f"{path}: color passes of deep files are not read; leave out --also and --all-color."
         )
@@ -123,7 +123,7 @@ def _read_still(arguments: argparse.Namespace) -> Any:
     info = exr.inspect(arguments.input)
     group = exr.choose_color(info, arguments.layer)
     color = exr.read_image(arguments.input, arguments.layer)
-    passes = exr.choose_passes(info, group, strength.passes_of(arguments), arguments.layer)
+    passes = exr.choose_passes(info, group, sources.passes_of(arguments), arguments.layer)
     values = exr.read_channels(arguments.input, passes) if passes else None
     LOG.info("color: %s, at rest", ", ".join(group.channels))
     size = color.shape[:2]

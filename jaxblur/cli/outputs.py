@@ -9,7 +9,7 @@ from typing import Any
 
 import jaxblur
 
-from . import posts, stack, strength
+from . import posts, sources, stack
 from .arguments import CommandError, check_folder, file_path
 from .choice import PASSED_THROUGH, Choice
 from .filtering import takes_neighbors
@@ -203,7 +203,7 @@ def warn_of_double_blur(arguments: argparse.Namespace) -> None:
     for here in stack.each(arguments):
         path, info = here.input, exr.inspect(here.input)
         found = exr.choose_color(info, here.layer, here.color_channels)
-        passes = exr.choose_passes(info, found, strength.passes_of(here), here.layer)
+        passes = exr.choose_passes(info, found, sources.passes_of(here), here.layer)
         mattes: list[Any] = []
         if getattr(here, "cryptomatte", None):
             mattes = exr.layers_of_picture(info, found)

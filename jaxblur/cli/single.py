@@ -4,7 +4,6 @@ import argparse
 import dataclasses
 import logging
 import pathlib
-import re
 import time
 from typing import Any
 
@@ -177,10 +176,11 @@ def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:
 
 def _number_in(path: pathlib.Path) -> int:
     """The number of a frame, which is the last one in its name, for ``--seed frame``."""
-    numbers = re.findall(r"\d+", path.stem)
-    if not numbers:
+    from jaxblur.sequence import frame_number
+
+    if (number := frame_number(path)) is None:
         raise CommandError(f"--seed frame: {path.name} has no frame number; give a number.")
-    return int(numbers[-1])
+    return number
 
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:

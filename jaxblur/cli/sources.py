@@ -1,14 +1,14 @@
-"""Options for the place of color, vectors and depth of a frame, and reading by them."""
+"""Options for the place of color, passes, vectors and depth of a frame, and reading by them."""
 
 import argparse
 import dataclasses
 import logging
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 from .arguments import channel_names, file_path, positive_number, preset_name
 from .shutter import add_exposure, add_fps
-from .strength import describe_passes, passes_of
 
 LOG = logging.getLogger("jaxblur")
 
@@ -116,6 +116,34 @@ def _add_kinds(group: Any) -> None:
     )
 
 
+def add_pass_options(group: Any) -> None:
+    """Add the options for further color passes.
+
+    Args:
+        group: of a parser.
+    """
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
+        "--also",
+        type=channel_names,
+        action="extend",
+        default=[],
+        metavar="LAYER[,LAYER]",
+        help="blur these color passes by the weights of the picture, so that they add up to it as "
+        "before: diffuse,'spec*'; repeat for more",
+    )
+    which.add_argument(
+        "--all-color",
+        action="store_true",
+        help="the same for all color passes; normals, positions, mattes, identifiers stay",
+    )
+
+
+def passes_of(arguments: argparse.Namespace) -> Any:
+    """The color passes, as `jaxblur.exr.read_buffers` takes them."""
+    return "all" if getattr(arguments, "all_color", False) else getattr(arguments, "also", ())
+
+
 def read(arguments: argparse.Namespace) -> Any:
     """Read the frame that the arguments name, and log how it was read.
 
@@ -148,10 +176,15 @@ def read(arguments: argparse.Namespace) -> Any:
     )
     LOG.info("color: %s", ", ".join(buffers.color_channels))
     if buffers.pass_channels:
-        LOG.info("passes: %s", describe_passes(buffers.pass_channels))
+        LOG.info("passes: %s", _describe_passes(buffers.pass_channels))
     LOG.info("vectors: %s", buffers.guess.reason)
     LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
     return _with_turning_sky(arguments.input, buffers) if arguments.sky == "camera" else buffers
+
+
+def _describe_passes(names: Sequence[str]) -> str:
+    """Layers of channels, in words."""
+    return ", ".join(dict.fromkeys(name.rpartition(".")[0] for name in names))
 
 
 def _with_turning_sky(path: pathlib.Path, buffers: Any) -> Any:

@@ -4,23 +4,22 @@ import argparse
 import dataclasses
 import logging
 import pathlib
-import re
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from jaxblur._util.text import nearest
 
-from .arguments import CommandError, channel_names, file_path, from_zero
+from .arguments import CommandError, file_path, from_zero
+from .camera_share import camera_file, keeps_camera, with_camera_share
 from .selections import FORMS, parse_scale, select, size_of
 
 LOG = logging.getLogger("jaxblur")
 
 LIMITS = ("valve",)
 """Keys of `jaxblur.MOTION_LIMITS`, which loads jax."""
+
 SOURCES = ("auto", "header", "fit")
+
 SELECTS_NOTHING = "--scale-motion: none is for any pixel"
-AGREEMENT = 0.9
-"""Least share of the far surfaces that a fitted camera must move, as for ``--sky camera``."""
 
 
 class Limit(NamedTuple):
@@ -80,34 +79,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_pass_options(group: Any) -> None:
-    """Add the options for further color passes.
-
-    Args:
-        group: of a parser.
-    """
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
-        "--also",
-        type=channel_names,
-        action="extend",
-        default=[],
-        metavar="LAYER[,LAYER]",
-        help="blur these color passes by the weights of the picture, so that they add up to it as "
-        "before: diffuse,'spec*'; repeat for more",
-    )
-    which.add_argument(
-        "--all-color",
-        action="store_true",
-        help="the same for all color passes; normals, positions, mattes, identifiers stay",
-    )
-
-
-def passes_of(arguments: argparse.Namespace) -> Any:
-    """The color passes, as `jaxblur.exr.read_buffers` takes them."""
-    return "all" if getattr(arguments, "all_color", False) else getattr(arguments, "also", ())
-
-
 def check(arguments: argparse.Namespace) -> None:
     """Reject options that do not go together, before any work.
 
@@ -115,7 +86,7 @@ def check(arguments: argparse.Namespace) -> None:
         CommandError: there are some.
     """
     given = _given(arguments)
-    if arguments.camera is not None and _keeps_camera(arguments):
+    if arguments.camera is not None and keeps_camera(arguments):
         raise CommandError(
             "--camera: is for --camera-motion, --objects-only and --camera-only; add one of them, "
             "or leave it out."
@@ -129,7 +100,7 @@ def check(arguments: argparse.Namespace) -> None:
             f"--{given[0]}: with --subframes the motion of each is that between them, and another "
             "one would leave gaps; leave out one of the two."
         )
-    if (file := _camera_file(arguments)) is not None:
+    if (file := camera_file(arguments)) is not None:
         from jaxblur import exr
 
         exr.read_camera_file(file)
@@ -137,7 +108,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 def looks_at_neighbors(arguments: argparse.Namespace) -> bool:
     """Whether the headers of the frames before and after may change a frame."""
-    return not _keeps_camera(arguments) and arguments.camera in (None, "auto", "header")
+    return not keeps_camera(arguments) and arguments.camera in (None, "auto", "header")
 
 
 class Changed(NamedTuple):
@@ -168,15 +139,17 @@ def apply(arguments: argparse.Namespace, buffers: Any) -> Changed:
         CommandError: the camera's motion cannot be found.
         JaxblurIOError: a channel, a name or a matrix is missing or wrong.
     """
-    if not _given(arguments) or _number(arguments.input) in (arguments.cut or ()):
+    from jaxblur.sequence import frame_number
+
+    if not _given(arguments) or frame_number(arguments.input) in (arguments.cut or ()):
         return Changed(buffers, "", True)
     import numpy as np
 
     import jaxblur
 
     frame, words, matches = buffers.frame(), [], []
-    if not _keeps_camera(arguments):
-        frame, said = _with_camera(arguments, buffers, frame)
+    if not keeps_camera(arguments):
+        frame, said = with_camera_share(arguments, buffers, frame)
         words.append(said)
     source = arguments.matte_from or arguments.input
     for scale in arguments.scale_motion:
@@ -211,182 +184,6 @@ def _given(arguments: argparse.Namespace) -> list[str]:
     # By identity: a share of 0 is equal to False, and is given.
     given = (n for n, v in values.items() if v is not None and v is not False and v != [])
     return [name.replace("_", "-") for name in given]
-
-
-def _keeps_camera(arguments: argparse.Namespace) -> bool:
-    only = arguments.objects_only or arguments.camera_only
-    return arguments.camera_motion is None and not only
-
-
-def _with_camera(arguments: argparse.Namespace, buffers: Any, frame: Any) -> tuple[Any, str]:
-    """The frame with another share of the camera's motion, and what was done."""
-    import jax.numpy as jnp
-    import numpy as np
-
-    import jaxblur
-
-    share = None if arguments.camera_only else float(arguments.camera_motion or 0)
-    found, moved = _matrices(arguments, buffers), None
-    if found is not None:
-        said, move = found
-        whole = move(arguments.shutter)
-        _compare(arguments, frame, np.asarray(whole))
-        if share is not None:
-            moved = jaxblur.replace_camera_motion(frame, whole, move(share * arguments.shutter))
-    else:
-        said, whole = "fitted", _fitted(arguments, frame)
-        if share is not None:
-            moved = jaxblur.without_camera(frame, whole, share)
-    if moved is None:
-        moved, what = jaxblur.split_motion(frame, whole).camera, "camera only"
-    else:
-        what = f"camera times {share:g}" if share else "objects only"
-    # Sky without vectors stays at rest: nothing is to be taken from it.
-    rests = np.isposinf(buffers.depth) & ~buffers.velocity.any(axis=-1)
-    if rests.any():
-        if np.asarray(jnp.abs(jnp.asarray(whole)[rests])).max() > 1:
-            LOG.info(
-                "motion: %s: the sky has no vectors, and stays at rest; --sky camera gives it some",
-                arguments.input,
-            )
-        path = moved.path
-        if path is not None:
-            path = jnp.where(rests[..., None, None], frame.path, path)
-        still = jnp.where(rests[..., None], frame.velocity, moved.velocity)
-        moved = moved.replace(velocity=still, path=path)
-    return moved, f"{what}, camera {said}"
-
-
-def _fitted(arguments: argparse.Namespace, frame: Any) -> Any:
-    """The motion of the camera by the vectors of the frame."""
-    import jaxblur
-
-    remedy = "give the cameras with --camera FILE.json"
-    try:
-        fit = jaxblur.fit_camera_motion(frame)
-    except ValueError as error:
-        raise CommandError(
-            f"{arguments.input}: the camera's motion cannot be fitted: too few pixels have "
-            f"vectors; {remedy}."
-        ) from error
-    if fit.agreement < AGREEMENT:
-        raise CommandError(
-            f"{arguments.input}: the camera's motion cannot be fitted: only "
-            f"{100 * fit.agreement:.0f} % of the far surfaces move as one; {remedy}."
-        )
-    return fit.motion
-
-
-def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:
-    """Where the cameras are from, and the motion by them as a function of the exposure; or None."""
-    if arguments.camera == "fit":
-        return None
-    from jaxblur import exr
-
-    path, number = arguments.input, _number(arguments.input)
-    info = exr.inspect(path)
-    part = info.parts[info.channel(buffers.color_channels[0]).part]
-    numbers = {side: None if number is None else number + side for side in (-1, 0, 1)}
-    for side in (-1, 1):
-        if numbers[side] in (arguments.cut or ()):
-            numbers[side] = None
-    if (file := _camera_file(arguments)) is not None:
-        if number is None:
-            raise CommandError(f"--camera: {path.name} has no frame number to look up in {file}.")
-        cameras = exr.read_camera_file(file)
-        views = {s: None if n is None else cameras.camera(n, part) for s, n in numbers.items()}
-        said, remedy = f"of {file.name}", f"add frame {number} and one beside it to {file}"
-    else:
-        views: dict[int, Any] = {0: _header_view(path)}
-        for side in (-1, 1):
-            beside = numbers[side]
-            views[side] = None if beside is None else _header_view(_numbered(path, beside))
-        said = "of the headers"
-        remedy = "take --camera fit, which finds it from the vectors, or --camera FILE.json"
-        if arguments.camera != "header" and (views[0] is None or views[-1] is views[1] is None):
-            return None
-    if views[0] is None or (views[-1] is None and views[1] is None):
-        lacking = "camera" if views[0] is None else "camera before or after"
-        raise CommandError(f"--camera: no {lacking} of {path}; {remedy}.")
-    return said, _motion_of(path, views, buffers)
-
-
-def _header_view(path: pathlib.Path) -> Any:
-    """The camera in the header of a file, if there is one."""
-    from jaxblur import exr
-
-    if not path.is_file():
-        return None
-    info = exr.inspect(path)
-    return exr.header_camera(info) if exr.has_camera(info) else None
-
-
-def _motion_of(path: pathlib.Path, views: dict[int, Any], buffers: Any) -> Any:
-    """The motion of a scene at rest as a function of the exposure."""
-    import jaxblur
-
-    here, intrinsics = views[0], jaxblur.Intrinsics(*views[0][1:])
-    sides = {pair.time for pair in buffers.guess.layout}
-    if sides in ({-1}, {1}) and views[min(sides)] is not None:
-        # Vectors to one side know nothing of how the camera moves on the other.
-        views = {side: view if side in (0, *sides) else None for side, view in views.items()}
-    moves: dict[int, Any] = {}
-    for side in (-1, 1):
-        view = views[side]
-        if view is None:
-            moves[side] = None
-            continue
-        try:
-            moves[side] = jaxblur.CameraMove.between(
-                here.world_to_camera, view.world_to_camera, jaxblur.Intrinsics(*view[1:])
-            )
-        except ValueError as error:
-            raise CommandError(f"{path}: the matrices of its cameras: {error}") from error
-
-    def motion(shutter: float) -> Any:
-        return jaxblur.path_between_cameras(
-            buffers.depth, intrinsics, before=moves[-1], after=moves[1], shutter=shutter
-        )
-
-    return motion
-
-
-def _compare(arguments: argparse.Namespace, frame: Any, path: Any) -> None:
-    """Warn if the vectors are farther from the camera's motion than from none."""
-    import numpy as np
-
-    velocity = np.asarray(frame.velocity)
-    moves = velocity.any(axis=-1)
-    if not moves.any():
-        return
-    gap = velocity[moves] - (path[moves, 1] - path[moves, 0]) / 2
-    own, left = (float(np.median(np.linalg.norm(v, axis=-1))) for v in (velocity[moves], gap))
-    if left > max(own, 0.5):
-        LOG.warning(
-            "%s: its cameras explain none of its vectors: without their motion half of the pixels "
-            "still move by %.1f px, with it by %.1f; check the units of the matrices and of depth, "
-            "axes, and frame numbers, or take --camera fit.",
-            *(arguments.input, left, own),
-        )
-
-
-def _camera_file(arguments: argparse.Namespace) -> pathlib.Path | None:
-    return arguments.camera if isinstance(arguments.camera, pathlib.Path) else None
-
-
-def _number(path: pathlib.Path) -> int | None:
-    """The number of a frame, the last one in its name."""
-    numbers = re.findall(r"\d+", path.stem)
-    return int(numbers[-1]) if numbers else None
-
-
-def _numbered(path: pathlib.Path, number: int) -> pathlib.Path:
-    """The same name with another number of as many digits."""
-    *_, found = re.finditer(r"\d+", path.stem)
-    digits = f"{number:0{len(found[0])}d}"
-    return path.with_name(
-        path.stem[: found.start()] + digits + path.stem[found.end() :] + path.suffix
-    )
 
 
 def _share(text: str) -> float:
@@ -432,8 +229,3 @@ def _camera(text: str) -> str | pathlib.Path:
             f"expected {', '.join(SOURCES)} or a .json file, got {text!r}{nearest(text, SOURCES)}"
         )
     return file_path(text).absolute()
-
-
-def describe_passes(names: Sequence[str]) -> str:
-    """Layers of channels, in words."""
-    return ", ".join(dict.fromkeys(name.rpartition(".")[0] for name in names))

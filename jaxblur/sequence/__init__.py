@@ -23,10 +23,12 @@ from .jobs import (
 from .names import (
     FrameNames as FrameNames,
     at_frame as at_frame,
+    frame_number as frame_number,
     has_frame_number as has_frame_number,
     missing_frames as missing_frames,
     parse_frames as parse_frames,
     parse_names as parse_names,
+    with_frame_number as with_frame_number,
 )
 from .pipeline import (
     Outcome as Outcome,

@@ -129,6 +129,27 @@ def parse_frames(text: str) -> list[int]:
     return [int(frame) for frame in frames]
 
 
+def frame_number(path: PathLike) -> int | None:
+    """Return the number of a frame, which is the last one in the name of its file; None without."""
+    found = re.findall(r"\d+", pathlib.Path(path).stem)
+    return int(found[-1]) if found else None
+
+
+def with_frame_number(path: PathLike, frame: int) -> pathlib.Path:
+    """Return the same name with another number of as many digits.
+
+    Args:
+        path: of a frame, with a number in its name.
+        frame: the other number.
+    """
+    file = pathlib.Path(path)
+    *_, found = re.finditer(r"\d+", file.stem)
+    number = f"{frame:0{len(found[0])}d}"
+    return file.with_name(
+        file.stem[: found.start()] + number + file.stem[found.end() :] + file.suffix
+    )
+
+
 def missing_frames(frames: Sequence[int]) -> str:
     """Find the gaps in a sequence.
 

@@ -33,7 +33,7 @@ from ..loading import add_motion_option, check_motion
 from ..scores import add_truth_options
 from ..shutter import add_shutter_options, option_of, settle
 from ..single import blur_single
-from ..sources import add_source_options, add_vector_options
+from ..sources import add_pass_options, add_source_options, add_vector_options
 
 
 def add_parser(commands: Any) -> None:
@@ -57,7 +57,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--drop-extra", action="store_true", help="write the color alone, not the other channels"
     )
-    strength.add_pass_options(parser)
+    add_pass_options(parser)
     mattes.add_option(parser)
     add_truth_options(parser)
     results.add_option(parser)

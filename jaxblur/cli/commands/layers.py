@@ -26,7 +26,7 @@ from ..loading import add_motion_option, check_motion
 from ..scores import add_truth_options
 from ..shutter import add_shutter_options, settle
 from ..single import blur_single
-from ..sources import add_depth_options, add_vector_options
+from ..sources import add_depth_options, add_pass_options, add_vector_options
 
 FILTER = "layered"
 EXPLANATION = """\
@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
     existing.add_argument("--overwrite", action="store_true", help="replace existing outputs")
     sequence.add_options(parser, existing)
     outputs.add_png_option(parser)
-    strength.add_pass_options(parser)
+    add_pass_options(parser)
     add_truth_options(parser)
     _add_stack_options(parser)
     add_color_options(parser)
