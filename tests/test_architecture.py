@@ -131,6 +131,20 @@ def test_kernels_and_judges_need_neither_optimizer_nor_files(source):
     assert not outside & {"optax", "OpenImageIO", "matplotlib", "rich"}
 
 
+SHARED_BY_COMMANDS = [
+    source
+    for source in SOURCES
+    if home(source) == "cli" and source.parent.name != "commands" and source.name != "main.py"
+]
+
+
+@pytest.mark.parametrize(
+    "source", SHARED_BY_COMMANDS, ids=lambda path: path.relative_to(PACKAGE).as_posix()
+)
+def test_what_commands_share_imports_no_command(source):
+    assert not {name for name in imported(source) if name.startswith("jaxblur.cli.commands")}
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

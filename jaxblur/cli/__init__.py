@@ -1,7 +1,14 @@
 """The command line: parse, call, write.
 
-Imports any part of jaxblur. `commands` has one file for each command; what several of them share
-stands beside it.
+Imports any part of jaxblur. `commands` has one file for each command; what they share stands beside
+it, and imports none of them:
+
+- `main` parses the command line and reports errors; `arguments`, `console`, `progress`, `errors`,
+  `interrupts`, `isolation` and `compute` serve every command;
+- options, with what is done by them: `sources`, `colors`, `filtering`, `shutter`, `strength` (over
+  `selections` and `camera_share`), `mattes`, `posts`, `results`;
+- a frame goes through `loading` (with layers through `layer_reading` and `stack`), `choice`,
+  `blurring`, `outputs` and `scores`: one frame by `single`, many by `sequence`.
 
 Exit status: 0 done, 1 some frames of a sequence are not (or the answer is no: something is slower,
 no vectors fit), 2 wrong usage or input (nothing was written), 130 interrupted, 141 the reader of

@@ -172,7 +172,12 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
 
     source = source or read(arguments)
     buffers = source.buffers
-    truth = _read_truth(arguments, buffers.color.shape)
+    truth = None
+    if arguments.truth is not None:
+        stored, colors = read_truth(arguments, buffers.color.shape, arguments.view)
+        if not colors.is_identity:
+            LOG.info("colors of the truth: %s", colors.words)
+        truth = colors.light(stored)
     velocity = buffers.velocity
     exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
@@ -237,21 +242,32 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
 
 
-def _read_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+def read_truth(
+    arguments: argparse.Namespace, shape: tuple[int, ...], view: str | None
+) -> tuple[Any, Any]:
+    """Read the truth that the arguments name.
+
+    Args:
+        arguments: of the command.
+        shape: of the picture of the frame.
+        view: OpenColorIO view that it is to be shown in, or None.
+
+    Returns:
+        (H, W, C) in the colors of its file, and their `jaxblur.exr.Conversion`.
+
+    Raises:
+        JaxblurIOError: the file is missing, damaged or holds something else.
+        CommandError: it has another size than the frame.
+    """
     from jaxblur import exr
 
-    if arguments.truth is None:
-        return None
     info = exr.inspect(arguments.truth)
     channel = exr.choose_color(info, arguments.truth_layer).channels[0]
     truth = exr.read_image(arguments.truth, arguments.truth_layer)
-    colors = exr.conversion_of(info, channel, arguments.color_space, arguments.view)
-    if not colors.is_identity:
-        LOG.info("colors of the truth: %s", colors.words)
     if truth.shape[:2] != shape[:2]:
         (rows, columns), (height, width) = truth.shape[:2], shape[:2]
         raise CommandError(
             f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
             f"{width}x{height}; render both with the same data window."
         )
-    return colors.light(truth)
+    return truth, exr.conversion_of(info, channel, arguments.color_space, view)

@@ -17,6 +17,11 @@ read: a `JaxblurIOError` names file, channel and remedy in one line.
 appear under their name only when they are complete. `inspect` lists the contents of a file. Reading
 and listing do not load jax; only `read_frame` does, at its end.
 
+Files are opened by `opening`, listed by `listing`, and their pixels read by `channels`; `choose`,
+`passes`, `cameras`, `color` and `cryptomatte` find what channels and headers mean; `checks` and
+`convert` make of stored values those of a frame. `read` puts frames together, `deep` the layers of
+deep files. `write` writes files, `write_like` those that keep what a model holds, over `output`.
+
 Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
 and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
 `conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.

@@ -307,18 +307,31 @@ def _unknown(path: PathLike, layers: list[CryptomatteLayer], name: str) -> Jaxbl
     )
 
 
+def check_identifiers(info: FileInfo, layer: CryptomatteLayer) -> None:
+    """Reject a layer whose identifiers are stored with too few bits.
+
+    Args:
+        info: listing of its file.
+        layer: the layer.
+
+    Raises:
+        JaxblurIOError: the message names the channel.
+    """
+    for name in layer.channels[::2]:
+        if info.channel(name).type != "float":
+            raise JaxblurIOError(
+                info.path,
+                f"{name}: {info.channel(name).type} cannot hold the identifiers of a Cryptomatte; "
+                "write its channels as 32-bit float.",
+            )
+
+
 def _coverage(
     layer: CryptomatteLayer, identifiers: list[int]
 ) -> tuple[Float[np.ndarray, "height width"], bool]:
     """The share of each pixel that has one of the identifiers, and whether any has."""
     info = inspect(layer.path)
-    for name in layer.channels[::2]:
-        if info.channel(name).type != "float":
-            raise JaxblurIOError(
-                layer.path,
-                f"{name}: {info.channel(name).type} cannot hold the identifiers of a Cryptomatte; "
-                "write its channels as 32-bit float.",
-            )
+    check_identifiers(info, layer)
     values = np.ascontiguousarray(read_channels(layer.path, layer.channels))
     bits = np.ascontiguousarray(values[..., ::2]).view(np.uint32)
     hit = np.isin(bits, np.array(identifiers, np.uint32))

@@ -14,7 +14,7 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 
 from .channels import read_channels
 from .choose import ColorGroup, views_of
-from .cryptomatte import CryptomatteLayer, cryptomatte_layers
+from .cryptomatte import CryptomatteLayer, check_identifiers, cryptomatte_layers
 from .listing import FileInfo, inspect
 
 
@@ -97,13 +97,7 @@ def read_ranks(path: PathLike, group: ColorGroup) -> tuple[Ranks, ...]:
 
 
 def _ranks(info: FileInfo, layer: CryptomatteLayer, group: ColorGroup) -> Ranks:
-    for name in layer.channels[::2]:
-        if info.channel(name).type != "float":
-            raise JaxblurIOError(
-                info.path,
-                f"{name}: {info.channel(name).type} cannot hold the identifiers of a Cryptomatte; "
-                "write its channels as 32-bit float.",
-            )
+    check_identifiers(info, layer)
     windows = {
         info.parts[info.channel(name).part].data_window
         for name in (group.channels[0], *layer.channels)

@@ -30,6 +30,7 @@ from ..filtering import (
     read_fitted,
     report_ignored,
 )
+from ..loading import read_truth
 from ..sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
@@ -117,7 +118,10 @@ def _page(
     frame = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
     if buffers.path is not None:
         frame["path"] = buffers.path
-    truth = _truth(arguments, color.shape)
+    truth = None
+    if arguments.truth is not None:
+        stored, colors = read_truth(arguments, color.shape, None)
+        truth = metrics.rgb(colors.light(stored))
     return page_of(
         *(name, parameters, settings, frame, truth),
         title=arguments.input.name,
@@ -167,21 +171,3 @@ def page_of(
         has_path="path" in planes,
     )
     return build_play(graph, planes, truth, title=title, shutter=shutter)
-
-
-def _truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
-    """The truth as a screen shows it, or None."""
-    if arguments.truth is None:
-        return None
-    from jaxblur import exr, metrics
-
-    info = exr.inspect(arguments.truth)
-    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
-    truth = exr.read_image(arguments.truth, arguments.truth_layer)
-    if truth.shape[:2] != shape[:2]:
-        raise CommandError(
-            f"{arguments.truth}: the truth has {truth.shape[1]}x{truth.shape[0]} pixels, but "
-            f"{arguments.input} has {shape[1]}x{shape[0]}; render both with the same data window."
-        )
-    colors = exr.conversion_of(info, channel, arguments.color_space, None)
-    return metrics.rgb(colors.light(truth))
