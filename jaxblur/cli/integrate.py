@@ -1,0 +1,65 @@
+"""``jaxblur integrate``: extensions of Blender and Nuke, job templates for farms."""
+
+import argparse
+import os
+import pathlib
+import shutil
+import sys
+import sysconfig
+from typing import Any
+
+from jaxblur._util.atomic import replacing
+from jaxblur.integrate import HOSTS
+
+from .arguments import CommandError, add_command, check_folder, check_outputs, file_path
+from .console import print_line
+
+HELP = """\
+blender  OUT.zip, an extension for Blender 4.2 or newer: Edit > Preferences > Get Extensions >
+         Install from Disk; then Properties > Output > Motion blur (jaxblur)"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "integrate", "Write an extension that calls jaxblur from another program.", run
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = HELP
+    parser.add_argument("host", choices=HOSTS, help="the other program; see below")
+    parser.add_argument(
+        "-o", "--output", type=file_path, required=True, metavar="OUT", help="what to write"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
+    parser.add_argument(
+        "--executable",
+        metavar="PATH",
+        help="command that the extension calls (default: that of this installation, else the one "
+        "on the PATH); `jaxblur` means the one on the PATH, for an extension on many machines",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the files; see `add_parser`."""
+    from jaxblur import integrate
+
+    output: pathlib.Path = arguments.output
+    executable = arguments.executable or _own_executable()
+    if output.suffix.lower() != ".zip":
+        raise CommandError(f"{output}: an extension of Blender is a .zip; change the extension.")
+    files = {output: integrate.zipped(integrate.blender_files(executable))}
+    check_folder(output.parent)
+    check_outputs(files, arguments.overwrite)
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as temporary:
+            pathlib.Path(temporary).write_bytes(content)
+        print_line(path)
+    return 0
+
+
+def _own_executable() -> str:
+    """The command of this installation; its bare name if it has none."""
+    started = shutil.which(sys.argv[0]) if os.path.basename(sys.argv[0]) == "jaxblur" else None
+    beside = shutil.which("jaxblur", path=sysconfig.get_path("scripts"))
+    return os.path.abspath(started) if started else beside or "jaxblur"
