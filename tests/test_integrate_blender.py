@@ -94,7 +94,8 @@ def test_the_panel_names_what_is_missing_and_offers_the_buttons(facts):
     assert panel[:2] == ["Needed before rendering:", facts["changes"][0]]
     operators = ["JAXBLUR_OT_set_up", "JAXBLUR_OT_blur", "JAXBLUR_OT_blur_render"]
     assert [text for text in panel if "_OT_" in text] == operators
-    assert {"Shutter", "Position", "Filter", "Samples", "After Each Render"} < set(panel)
+    assert {"Shutter", "Motion Blur Position"} < set(panel)
+    assert {"Filter", "Samples", "Options", "After Each Render"} < set(panel)
 
 
 def test_the_button_blurs_beside_the_user_s_work(facts):

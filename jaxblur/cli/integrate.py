@@ -8,15 +8,16 @@ import sys
 import sysconfig
 from typing import Any
 
+from jaxblur import integrate
 from jaxblur._util.atomic import replacing
-from jaxblur.integrate import HOSTS
 
 from .arguments import CommandError, add_command, check_folder, check_outputs, file_path
 from .console import print_line
 
 HELP = """\
 blender  OUT.zip, an extension for Blender 4.2 or newer: Edit > Preferences > Get Extensions >
-         Install from Disk; then Properties > Output > Motion blur (jaxblur)"""
+         Install from Disk; then Properties > Output > Motion blur (jaxblur)
+farm     a folder with an Open Job Description template and a job type of Flamenco"""
 
 
 def add_parser(commands: Any) -> None:
@@ -26,7 +27,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = HELP
-    parser.add_argument("host", choices=HOSTS, help="the other program; see below")
+    parser.add_argument("host", choices=integrate.HOSTS, help="the other program; see below")
     parser.add_argument(
         "-o", "--output", type=file_path, required=True, metavar="OUT", help="what to write"
     )
@@ -41,13 +42,8 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the files; see `add_parser`."""
-    from jaxblur import integrate
-
     output: pathlib.Path = arguments.output
-    executable = arguments.executable or _own_executable()
-    if output.suffix.lower() != ".zip":
-        raise CommandError(f"{output}: an extension of Blender is a .zip; change the extension.")
-    files = {output: integrate.zipped(integrate.blender_files(executable))}
+    files = _files(arguments, output)
     check_folder(output.parent)
     check_outputs(files, arguments.overwrite)
     for path, content in files.items():
@@ -56,6 +52,22 @@ def run(arguments: argparse.Namespace) -> int:
             pathlib.Path(temporary).write_bytes(content)
         print_line(path)
     return 0
+
+
+def _files(arguments: argparse.Namespace, output: pathlib.Path) -> dict[pathlib.Path, bytes]:
+    """The content of each file."""
+    if arguments.host == "blender":
+        if output.suffix.lower() != ".zip":
+            raise CommandError(
+                f"{output}: an extension of Blender is a .zip; change the extension."
+            )
+        own = arguments.executable or _own_executable()
+        return {output: integrate.zipped(integrate.blender_files(own))}
+    if output.exists() and not output.is_dir():
+        raise CommandError(f"{output}: is a file; give the name of a folder.")
+    # The machines of a farm have the command elsewhere.
+    files = integrate.farm_files(arguments.executable or "jaxblur")
+    return {output / name: text.encode() for name, text in files.items()}
 
 
 def _own_executable() -> str:

@@ -4,4 +4,9 @@ Imports nothing of jaxblur. The folders `blender`, `nuke` and `farm` hold what i
 what goes into each; their Python runs in the hosts, without jaxblur.
 """
 
-from .hosts import HOSTS as HOSTS, blender_files as blender_files, zipped as zipped
+from .hosts import (
+    HOSTS as HOSTS,
+    blender_files as blender_files,
+    farm_files as farm_files,
+    zipped as zipped,
+)

@@ -27,9 +27,25 @@ def blender_files(executable: str) -> dict[str, str]:
     files = _texts("blender") | _shared(executable)
     manifest = files.pop("blender/blender_manifest.toml")
     return {
-        "blender_manifest.toml": manifest.replace("@VERSION@", jaxblur.__version__),
+        "blender_manifest.toml": _filled(manifest, {"@VERSION@": jaxblur.__version__}),
         "__init__.py": _ENTRY,
         **files,
+    }
+
+
+def farm_files(executable: str) -> dict[str, str]:
+    """Job templates of farms.
+
+    Args:
+        executable: path or name of the command on the workers.
+
+    Returns:
+        Text by path in the folder.
+    """
+    # JSON is YAML, and right for a path of Windows.
+    values = {"@VERSION@": jaxblur.__version__, "@EXECUTABLE@": json.dumps(executable)}
+    return {
+        name.removeprefix("farm/"): _filled(text, values) for name, text in _texts("farm").items()
     }
 
 
@@ -56,6 +72,13 @@ def _shared(executable: str) -> dict[str, str]:
     """What is the same in all hosts, and which command to look for."""
     installation = json.dumps({"executable": executable, "version": jaxblur.__version__}, indent=1)
     return _texts("shared") | {"shared/installation.json": installation + "\n"}
+
+
+def _filled(text: str, values: Mapping[str, str]) -> str:
+    """A text with values in the places of their names."""
+    for name, value in values.items():
+        text = text.replace(name, value)
+    return text
 
 
 def _texts(folder: str) -> dict[str, str]:
