@@ -17,6 +17,7 @@ from .console import print_line
 HELP = """\
 blender  OUT.zip, an extension for Blender 4.2 or newer: Edit > Preferences > Get Extensions >
          Install from Disk; then Properties > Output > Motion blur (jaxblur)
+nuke     a folder for NUKE_PATH: a gizmo and a panel in the menu Filter (not run in Nuke)
 farm     a folder with an Open Job Description template and a job type of Flamenco"""
 
 
@@ -65,8 +66,11 @@ def _files(arguments: argparse.Namespace, output: pathlib.Path) -> dict[pathlib.
         return {output: integrate.zipped(integrate.blender_files(own))}
     if output.exists() and not output.is_dir():
         raise CommandError(f"{output}: is a file; give the name of a folder.")
-    # The machines of a farm have the command elsewhere.
-    files = integrate.farm_files(arguments.executable or "jaxblur")
+    if arguments.host == "nuke":
+        files = integrate.nuke_files(arguments.executable or _own_executable())
+    else:
+        # The machines of a farm have the command elsewhere.
+        files = integrate.farm_files(arguments.executable or "jaxblur")
     return {output / name: text.encode() for name, text in files.items()}
 
 

@@ -8,5 +8,6 @@ from .hosts import (
     HOSTS as HOSTS,
     blender_files as blender_files,
     farm_files as farm_files,
+    nuke_files as nuke_files,
     zipped as zipped,
 )

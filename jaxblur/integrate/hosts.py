@@ -10,7 +10,19 @@ import jaxblur
 
 HOSTS = ("blender", "nuke", "farm")
 _HERE = pathlib.Path(__file__).parent
-_ENTRY = '"""Registers the extension."""\n\nfrom .blender import register, unregister\n'
+_BLENDER_ENTRY = '"""Registers the extension."""\n\nfrom .blender import register, unregister\n'
+_NUKE_ENTRY = '''\
+"""What gizmo and menu call."""
+
+from .nuke.blur import blur
+
+
+def show_panel():
+    """Show the panel, whose module needs a window."""
+    from .nuke import panel
+
+    panel.show()
+'''
 _EARLIEST = (1980, 1, 1, 0, 0, 0)
 """Time of all files in a zip, so that the same version writes the same bytes."""
 
@@ -28,9 +40,26 @@ def blender_files(executable: str) -> dict[str, str]:
     manifest = files.pop("blender/blender_manifest.toml")
     return {
         "blender_manifest.toml": _filled(manifest, {"@VERSION@": jaxblur.__version__}),
-        "__init__.py": _ENTRY,
+        "__init__.py": _BLENDER_ENTRY,
         **files,
     }
+
+
+def nuke_files(executable: str) -> dict[str, str]:
+    """The Nuke extension.
+
+    Args:
+        executable: path or name of the command that it calls unless the user chooses another.
+
+    Returns:
+        Text by path in the folder.
+    """
+    files = _texts("nuke")
+    # Nuke looks for these in the folders of its path.
+    found = {name: files.pop(f"nuke/{name}") for name in ("README.md", "jaxblur.gizmo", "menu.py")}
+    found["README.md"] = _filled(found["README.md"], {"@VERSION@": jaxblur.__version__})
+    package = {"__init__.py": _NUKE_ENTRY, **files, **_shared(executable)}
+    return found | {f"jaxblur_nuke/{name}": text for name, text in package.items()}
 
 
 def farm_files(executable: str) -> dict[str, str]:
