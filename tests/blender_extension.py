@@ -129,6 +129,9 @@ def main(archive, folder):
     facts["changes"] = [change.text for change in module.passes.needed_changes(scene)]
     facts["set_up"] = list(bpy.ops.jaxblur.set_up())
     facts["left"] = [change.text for change in module.passes.needed_changes(scene)]
+    render.image_settings.exr_codec = "DWAA"
+    facts["lossy"] = [change.text for change in module.passes.needed_changes(scene)]
+    render.image_settings.exr_codec = "ZIP"
     facts["unrendered"] = refused(bpy.ops.jaxblur.blur)
     bpy.ops.render.render(animation=True)
     facts["position"] = refused(bpy.ops.jaxblur.blur)

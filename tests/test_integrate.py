@@ -1,15 +1,20 @@
 """``jaxblur integrate``: what is written, and what all hosts share, without the hosts."""
 
 import ast
+import io
+import logging
 import sys
 import tomllib
 import zipfile
+from contextlib import redirect_stderr
 from pathlib import Path
 
 import pytest
 
 import jaxblur
 from jaxblur import integrate
+from jaxblur.cli.main import _diagnostics
+from jaxblur.cli.progress import progress
 from jaxblur.integrate.shared.command import FILTERS, POSITIONS, Job, Options, blur_command
 from jaxblur.integrate.shared.frames import Frames, in_folder, numbered, ranges
 from jaxblur.sequence import parse_frames
@@ -18,7 +23,7 @@ from jaxblur.shutter import POSITIONS as ALL_POSITIONS
 from .command_line import refused, run
 
 HOME = Path(integrate.__file__).parent
-STANDARD = {*sys.stdlib_module_names, "bpy", "nuke"}
+STANDARD = {*sys.stdlib_module_names, "bpy", "nuke", "nukescripts"}
 
 
 def says(*lines, status=0, pause=0.0):
@@ -132,6 +137,14 @@ def test_a_command_line_holds_the_options():
         blur_command("jaxblur", still, still, Options(more="--layer 'A"))
 
 
+@pytest.mark.parametrize("more", ["--filter=a.py:f", "--filt a.py:f", "--scheduler tcp://a:1"])
+def test_options_that_run_code_are_not_taken_from_a_scene(more):
+    with pytest.raises(ValueError, match=r"further options: --\w+ can run code"):
+        blur_command("jaxblur", Frames("/r/a.exr"), Frames("/r/b.exr"), Options(more=more))
+    options = Options(more="--file-shutter 0.5 --fetch nearest --layer=a")
+    assert "--fetch" in blur_command("jaxblur", Frames("/r/a.exr"), Frames("/r/b.exr"), options)
+
+
 def test_a_job_counts_the_frames_of_its_commands():
     lines = ("jaxblur: 1 of 2 done: frame 7 ok", "jaxblur: warning: dark", "jaxblur: warning: dark")
     first, second = says(*lines, "jaxblur: 2 of 2 done: frame 6 ok"), says("jaxblur: nothing")
@@ -140,6 +153,17 @@ def test_a_job_counts_the_frames_of_its_commands():
     job.wait()
     assert (job.done, job.warnings, job.errors) == (3, ["dark"], [])
     assert not job.poll()
+
+
+def test_what_the_command_says_is_understood():
+    """A job reads the lines of the real command: its progress, warnings and errors."""
+    with redirect_stderr(io.StringIO()) as said, _diagnostics({}), progress(3) as tell:
+        tell("frame 7 ok")
+        logging.getLogger("jaxblur").warning("dark")
+        logging.getLogger("jaxblur").error("frame 8: no vectors")
+    job = Job([says(*said.getvalue().splitlines(), status=1)], [3])
+    job.wait()
+    assert (job.done, job.warnings, job.errors) == (1, ["dark"], ["frame 8: no vectors"])
 
 
 def test_a_job_stops_at_the_first_command_that_fails():

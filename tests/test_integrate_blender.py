@@ -58,6 +58,7 @@ def test_one_button_sets_up_the_passes_and_says_what_it_changed(facts):
     assert facts["set_up"] == ["FINISHED"] and facts["left"] == []
     assert f"Changed: {'; '.join(facts['changes'])}." in facts["out"]
     assert "Press Set Up Passes and render again: pass Z" in facts["unset"]
+    assert facts["lossy"] == ["codec ZIP in place of DWAA, which changes vectors"]
     assert facts["workbench"].startswith("Workbench writes no motion vectors.")
 
 
@@ -101,7 +102,7 @@ def test_the_panel_names_what_is_missing_and_offers_the_buttons(facts):
 def test_the_button_blurs_beside_the_user_s_work(facts):
     button = facts["button"]
     assert button["end"] == "FINISHED"
-    assert button["reports"][-1] == ["INFO", "2 blurred, shown as image shot_01.exr."]
+    assert button["reports"][-1] == ["INFO", "2 blurred, loaded as image shot_01.exr."]
     assert "0.0 0 of 2 frames" in button["drawn"] and "JAXBLUR_OT_cancel" in button["drawn"]
     assert button["second"].startswith("jaxblur is running")
     assert {"progress_begin", "progress_update", "progress_end"} < set(button["calls"])

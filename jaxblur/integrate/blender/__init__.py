@@ -17,6 +17,7 @@ def register():
 
 def unregister():
     """Remove what `register` added."""
+    operators.end()
     after_render.detach()
     settings.detach()
     for each in reversed(CLASSES):

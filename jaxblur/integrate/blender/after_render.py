@@ -1,5 +1,6 @@
 """Blurs what has been rendered as soon as a render ends, for scenes that ask for it."""
 
+import functools
 import os
 
 import bpy  # pyright: ignore[reportMissingImports]
@@ -52,12 +53,13 @@ def _blur(scene, *_):
             bpy.ops.jaxblur.blur_render()
         return
     # The handler runs beside the main thread, in which operators must run.
-    bpy.app.timers.register(_blur_in_window, first_interval=0.1)
+    start = functools.partial(_blur_in_window, scene.name)
+    bpy.app.timers.register(start, first_interval=0.1)
 
 
-def _blur_in_window():
-    manager = bpy.context.window_manager
-    with bpy.context.temp_override(window=manager.windows[0]):
+def _blur_in_window(name):
+    scene, window = bpy.data.scenes[name], bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, scene=scene):
         bpy.ops.jaxblur.blur_render("INVOKE_DEFAULT")
 
 

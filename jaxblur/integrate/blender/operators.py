@@ -79,9 +79,7 @@ class _Blurs:
 
     def cancel(self, context):
         """Blender closes or opens another file."""
-        Running.job.cancel()
-        Running.job.wait()
-        Running.job = None
+        end()
         self._leave(context)
 
     def _begin(self, context):
@@ -121,7 +119,7 @@ class _Blurs:
         if job.errors:
             return {"CANCELLED"}
         image = _load(context, self._blurred[0])
-        self.report({"INFO"}, f"{job.total} blurred, shown as image {image.name}.")
+        self.report({"INFO"}, f"{job.total} blurred, loaded as image {image.name}.")
         return {"FINISHED"}
 
     def _leave(self, context):
@@ -161,12 +159,12 @@ class JaxblurBlurRender(_Blurs, bpy.types.Operator):
     def frames(self, context):
         """The files that were written, or the Render Result in a temporary one."""
         scene = context.scene
-        written = after_render.written_frames(scene)
-        if written is not None:
-            return [written]
         if changes := passes.needed_changes(scene):
             missing = "; ".join(change.text for change in changes)
             raise ValueError(f"Press Set Up Passes and render again: {missing}.")
+        written = after_render.written_frames(scene)
+        if written is not None:
+            return [written]
         result = bpy.data.images.get("Render Result")
         if result is None:
             raise ValueError("Nothing has been rendered. Press F12.")
@@ -190,6 +188,14 @@ class JaxblurCancel(bpy.types.Operator):
         """End the command; the operator that started it reports."""
         Running.job.cancel()
         return {"FINISHED"}
+
+
+def end():
+    """End a job that runs while the extension is turned off."""
+    if Running.job is not None:
+        Running.job.cancel()
+        Running.job.wait()
+        Running.job = None
 
 
 def _load(context, blurred):

@@ -19,6 +19,8 @@ from .frames import Frames, ranges
 
 FILTERS = ("layered", "guertin2014", "mcguire2012", "pixel_velocity")
 POSITIONS = ("start", "center", "end")
+RUN_CODE = ("--filter", "--scheduler")
+"""Options that load Python of a file, or of another machine."""
 SECONDS_TO_END = 10.0
 """For how long a cancelled command may finish the frames that it is at."""
 
@@ -84,7 +86,7 @@ def blur_command(executable: str, sharp: Frames, blurred: Frames, options: Optio
         Program and arguments.
 
     Raises:
-        ValueError: a quotation mark in the further options is not closed.
+        ValueError: a quotation mark in the further options is not closed, or one of them runs code.
     """
     command = [executable, "blur", sharp.names, "-o", blurred.names]
     command += [f"--shutter={options.shutter:g}frames", f"--filter={options.filter}"]
@@ -97,9 +99,18 @@ def blur_command(executable: str, sharp: Frames, blurred: Frames, options: Optio
     if options.overwrite:
         command.append("--overwrite")
     try:
-        return command + shlex.split(options.more)
+        more = shlex.split(options.more)
     except ValueError as error:
         raise ValueError(f"further options {options.more!r}: {error}.") from error
+    for text in more:
+        name = text.partition("=")[0]
+        # The command takes beginnings of options too.
+        if name[:2] == "--" and name != "--" and any(each.startswith(name) for each in RUN_CODE):
+            raise ValueError(
+                f"further options: {name} can run code, and scenes come from others; choose the "
+                "filter in its own field, and use such options on the command line."
+            )
+    return command + more
 
 
 class Job:
