@@ -155,6 +155,8 @@ def main(archive, folder):
     render.filepath = os.path.join(folder, "after_")
     scene.frame_end = 1
     bpy.ops.render.render(animation=True)
+    render.filepath = os.path.join(folder, "still")
+    bpy.ops.render.render(write_still=True)
     bpy.ops.render.render()
     facts["result"] = sorted(os.listdir(os.path.join(bpy.app.tempdir, "blurred")))
     render.engine = "BLENDER_WORKBENCH"
