@@ -1,10 +1,12 @@
 """Options, shared fixtures, and run-time type checks of the kernels."""
 
 import atexit
+import importlib.util
 import mmap
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from pathlib import Path
 
@@ -69,6 +71,13 @@ def pytest_addoption(parser):
         help="folder of scenes rendered with true motion blur, given with an equals sign; "
         "without it their tests skip",
     )
+    parser.addoption(
+        "--bpy-python",
+        type=Path,
+        metavar="PATH",
+        help="Python of an environment with the wheel bpy, given with an equals sign; without it "
+        "this Python is taken if it has bpy, and the tests in Blender skip if not",
+    )
 
 
 def pytest_configure(config):
@@ -84,6 +93,17 @@ def reference_data(request) -> Path:
     if folder is None:
         pytest.skip("needs rendered scenes: pass --reference-data=DIR")
     return folder
+
+
+@pytest.fixture(scope="session")
+def bpy_python(request) -> Path:
+    """The Python of an environment with bpy; skips the test where there is none."""
+    python = request.config.getoption("--bpy-python")
+    if python is None:
+        if importlib.util.find_spec("bpy") is None:
+            pytest.skip("needs Blender as a module: pass --bpy-python=PATH")
+        python = Path(sys.executable)
+    return python
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -43,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "gradient_check": {"_util", "filters", "frame", "noise", "settings"},
     "planning": {"filters", "frame", "settings", "vectors"},
     "show": {"_util", "filters", "frame", "metrics", "noise", "safe_math", "settings"},
+    "integrate": set(),
     "report": {"_util", "exr", "metrics"},
     "perception": {"_util", "exr", "report", "srgb"},
     "bench": {"_util", "exr", "filters", "frame", "metrics", "scenes", "settings", "vectors"},

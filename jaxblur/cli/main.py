@@ -22,6 +22,7 @@ from .commands import (
     export,
     fit,
     info,
+    integrate,
     layers,
     play,
     post,
@@ -37,7 +38,7 @@ from .interrupts import never_lost, with_termination
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (
     *(blur, fit, layers, post, info, vectors, report, demo, scene, bench),
-    *(export, play, study, votes),
+    *(export, integrate, play, study, votes),
 )
 
 USAGE = 2
