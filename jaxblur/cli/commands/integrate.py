@@ -11,8 +11,8 @@ from typing import Any
 from jaxblur import integrate
 from jaxblur._util.atomic import replacing
 
-from .arguments import CommandError, add_command, check_folder, check_outputs, file_path
-from .console import print_line
+from ..arguments import CommandError, add_command, check_folder, check_outputs, file_path
+from ..console import print_line
 
 HELP = """\
 blender  OUT.zip, an extension for Blender 4.2 or newer: Edit > Preferences > Get Extensions >
