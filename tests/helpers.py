@@ -6,6 +6,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax.test_util import check_grads
 from jax.typing import DTypeLike
 
@@ -17,6 +18,11 @@ RELATIVE = {"float32": 1e-4, "float64": 1e-10}
 
 SHAPES = ((13, 17), (24, 32), (7, 41), (1, 9), (1, 1))
 """Ragged and whole tiles, rows, single pixels."""
+
+
+def slow(*values):
+    """Parameters of a test that only the whole suite runs."""
+    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 def random_frame(

@@ -160,6 +160,7 @@ def test_the_other_entries_of_guertin2014_check_too():
         assert "got tuple" in refused(function, BUFFERS, jaxblur.GuertinParameters())
 
 
+@pytest.mark.slow
 def test_subclasses_of_parameters_frames_and_tracers_are_accepted():
     @jax.tree_util.register_dataclass
     @dataclasses.dataclass(frozen=True)

@@ -54,6 +54,7 @@ def test_help_version_and_path_errors_do_not_load_jax(tmp_path):
     assert not os.path.exists(out)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_to_be_left_over_at_the_end(tmp_path):
     result = spawn("blur", CAR, "-o", tmp_path / "out.exr", "--backend", "xla", "--samples", "3")
     assert result.returncode == 0, result.stderr
@@ -290,6 +291,7 @@ def test_plain_tables_align_their_columns(capsys):
     assert capsys.readouterr().out == "name  value\na         1\nbc       22\n"
 
 
+@pytest.mark.slow
 def test_compiled_code_is_kept_between_runs_unless_asked_not_to(tmp_path):
     frame = write_single(tmp_path / "frame.exr", plain_frame((16, 16)))
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}

@@ -13,6 +13,7 @@ from jaxblur.cli import blurring
 from jaxblur.settings import choices_of
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, DATA, plain_frame, read_raw, write_single
+from tests.helpers import slow
 
 TRUTH = DATA / "sky_car_truth_0011.exr"
 GUERTIN = ("--filter", "guertin2014")
@@ -82,6 +83,7 @@ def test_provenance_is_in_the_header(tmp_path):
     assert found["Time"] == attributes(CAR)["Time"], "metadata of the input is kept"
 
 
+@pytest.mark.slow
 def test_scores_against_the_truth(tmp_path):
     outcome = run("blur", CUBE, "-o", tmp_path / "out.exr", "--truth", _truth_of(CUBE))
     heading, sharp, blurred = (re.split(r"\s{2,}", row) for row in outcome.out.splitlines()[1:])
@@ -140,7 +142,7 @@ def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
     assert "tile_choice" not in tomllib.loads(attributes(out)["jaxblur:settings"])
 
 
-@pytest.mark.parametrize(("quality", "samples"), [("preview", 15), ("final", 105)])
+@pytest.mark.parametrize(("quality", "samples"), [("preview", 15), slow("final", 105)])
 def test_a_quality_is_a_number_of_samples(tmp_path, quality, samples):
     channels = plain_frame((6, 8))
     source = write_single(tmp_path / "in.exr", channels)
@@ -183,6 +185,7 @@ def test_an_automatic_radius_fits_the_fastest_vector(tmp_path):
     np.testing.assert_array_equal(stored, half)
 
 
+@pytest.mark.slow
 def test_vectors_longer_than_the_radius_are_a_warning(tmp_path):
     err = run("blur", CAR, "-o", tmp_path / "out.exr", "--samples", "7", "--radius", "3").err
     assert "jaxblur: warning: " in err and "--radius auto" in err

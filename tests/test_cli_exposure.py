@@ -10,6 +10,7 @@ from jaxblur import exr
 from jaxblur.cli import shutter
 from tests.command_line import refused, run
 from tests.exr_files import write_single
+from tests.helpers import slow
 
 FEW = ("--samples", "9", "--radius", "16")
 SETTINGS = jaxblur.Settings(samples=9, radius=16, fetch="bilinear")
@@ -59,7 +60,7 @@ TRIANGLE = np.array([0, 1, 0], np.float32)
             SHUTTER(0.0, 2.0),
             {"shutter": 0.5, "shutter_open": 0, "shutter_close": 0.5, "shutter_curve": "box"},
         ),
-        (
+        slow(
             ("--shutter-position", "end", "--shutter", "90deg"),
             SHUTTER(-2.0, 0.0),
             {"shutter": 0.25, "shutter_open": -0.25, "shutter_close": 0},
@@ -69,7 +70,7 @@ TRIANGLE = np.array([0, 1, 0], np.float32)
             SHUTTER(-2 / 3, 4 / 3, TRIANGLE),
             {"shutter": 0.75, "shutter_open": -0.25, "shutter_curve": "triangle"},
         ),
-        (
+        slow(
             ("--readout=-1/60s", "--fps", "30"),
             SHUTTER(readout=-2.0),
             {"readout": -0.5, "shutter_curve": "box"},
@@ -202,6 +203,7 @@ def test_names_are_those_of_the_library():
     )
 
 
+@pytest.mark.slow
 def test_the_radius_is_that_of_the_longest_time(tmp_path):
     frame = write_frame(tmp_path / "in.exr")
     options = ("--shutter", "2", "--shutter-position", "start", "-v", "--radius", "auto")

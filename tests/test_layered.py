@@ -87,6 +87,7 @@ def shifted(color, distance):
     return (1 - share) * np.roll(color, whole, 1) + share * np.roll(color, whole + 1, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["none", "ign"])
 def test_the_pan_of_the_catalogue_is_the_box_filter(noise):
     frame = scenes.render(scenes.SCENES["uniform_pan"](), 0.0, 0.5, (180, 320))
@@ -390,6 +391,7 @@ def test_a_neighbor_does_not_light_a_shadow_that_moves_with_its_object():
     assert np.abs(helped - alone)[beneath].max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_spacing_reads_no_owner_beyond_the_last_in_native_code():
     # Pixels with few slices are evaluated beside others with many: this crashed.
     frame = random_frame((45, 67), speed=12.0)

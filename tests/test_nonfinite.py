@@ -154,6 +154,7 @@ def test_a_firefly_in_a_still_picture_is_filled_from_its_neighbors():
     np.testing.assert_array_equal(run("guertin2014", nothing), 0)
 
 
+@pytest.mark.slow
 def test_masked_frames_are_differentiable_and_batch():
     frame = random_frame((6, 7), speed=4.0)
     valid = jnp.ones((6, 7), bool).at[2, 3].set(False)

@@ -178,6 +178,7 @@ def wheels():
     return scene, scenes.render(scene, 0, 0, SIZE)
 
 
+@pytest.mark.slow
 def test_it_comes_near_the_truth_through_a_lens(wheels):
     scene, frame = wheels
     focus, radius = 7.5, 0.3
@@ -190,6 +191,7 @@ def test_it_comes_near_the_truth_through_a_lens(wheels):
     assert error(defocus(frame, lens)) < 0.6 * error(frame.color)
 
 
+@pytest.mark.slow
 def test_the_truth_through_a_lens(wheels):
     scene, frame = wheels
     pinhole = scenes.accumulate(scene, 0, 0, 16, SIZE)

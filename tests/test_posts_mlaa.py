@@ -140,6 +140,7 @@ def test_derivatives_agree_with_differences():
         check_gradients(lambda image: mlaa(image, search=3, backend="xla"), image)
 
 
+@pytest.mark.slow
 def test_soft_edges_have_a_derivative_in_depth():
     frame = depth_frame((12, 16))
     image = half_plane((12, 16))
@@ -152,6 +153,7 @@ def test_soft_edges_have_a_derivative_in_depth():
     assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("softness", [None, 0.2])
 def test_derivatives_are_finite_and_equal_by_both_backends(softness):
     flat = np.zeros((8, 9, 3), np.float32)

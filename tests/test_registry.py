@@ -245,6 +245,7 @@ def test_another_name_than_the_file_registers_is_rejected(brighten):
         load_filter("file:name")
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_file(tmp_path, brighten):
     out, name = tmp_path / "out.exr", brighten.rpartition(":")[2]
     assert run("blur", CAR, "-o", out, "--filter", brighten, "--param", "gain=0.5").status == 0

@@ -12,7 +12,7 @@ import pytest
 import jaxblur
 from jaxblur import metrics, scenes
 from jaxblur.shutter import CURVES, check_shutter_record, curve_of, ends_at
-from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
+from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise, slow
 from tests.reference import layered_loops
 
 PARAMETERS = jaxblur.LayeredParameters()
@@ -29,8 +29,8 @@ def straight_path(frame):
 @pytest.mark.parametrize(
     ("shutter", "dtype", "curved", "options"),
     [
-        (Shutter(-0.7, 1.4, np.array([0.0, 1, 3, 0, 0, 2, 1, 0, 0])), "float64", False, {}),
-        (
+        slow(Shutter(-0.7, 1.4, np.array([0.0, 1, 3, 0, 0, 2, 1, 0, 0])), "float64", False, {}),
+        slow(
             Shutter(0.2, 1.1, curve_of("triangle"), -0.8),
             *("float64", True, {"border": "clamp", "fetch": "nearest", "samples": 14}),
         ),
@@ -75,11 +75,11 @@ TWICE = Shutter.windows([(-1, -0.5), (0.5, 1)])
 @pytest.mark.parametrize(
     ("exposure", "truth", "gain"),
     [
-        (Shutter.triangle(), {"shutter_function": "triangle"}, 5),
+        slow(Shutter.triangle(), {"shutter_function": "triangle"}, 5),
         (Shutter.box(0, 2), {"placement": "leading"}, 8),
-        (Shutter.box(readout=2), {"readout": 0.5}, 7),
-        (Shutter.box(readout=-2), {"readout": -0.5}, 7),
-        (TWICE, {"shutter_function": TWICE.curve}, 1.5),
+        slow(Shutter.box(readout=2), {"readout": 0.5}, 7),
+        slow(Shutter.box(readout=-2), {"readout": -0.5}, 7),
+        slow(TWICE, {"shutter_function": TWICE.curve}, 1.5),
     ],
 )
 def test_comes_nearer_to_the_truth_of_the_same_shutter(exposure, truth, gain):
@@ -224,6 +224,7 @@ def test_the_derivative_in_the_curve_is_that_of_the_weighted_mean(backend):
     )
 
 
+@pytest.mark.slow
 def test_the_derivatives_in_times_agree_with_central_differences():
     frame, _ = pan()
     target = jnp.asarray(np.random.default_rng(0).normal(size=frame.color.shape), jnp.float32)
@@ -260,6 +261,7 @@ def test_jit_and_vmap_equal_a_loop():
         np.testing.assert_allclose(each, blurred(*values), atol=2e-5)
 
 
+@pytest.mark.slow
 def test_a_shutter_is_traced_once():
     frame = random_frame((10, 11))
     settings = jaxblur.Settings(samples=9, radius=33)
@@ -279,7 +281,7 @@ def test_a_shutter_is_traced_once():
     "shutter",
     [
         Shutter(0.0, 0.0),
-        Shutter(0.5, 0.5),
+        slow(Shutter(0.5, 0.5)),
         Shutter(1.0, 1.2, np.array([0.0, 0, 0, 1e-3, 0])),
         Shutter(readout=60.0),
         Shutter(-1.0, 1.0, np.array([1e-30, 1, 1e-30, 1])),
