@@ -25,6 +25,11 @@ def slow(*values):
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
+def with_slow(names, *slow_ones):
+    """Names as parameters of a test; with some of them only the whole suite runs it."""
+    return [slow(name) if name in slow_ones else name for name in names]
+
+
 def random_frame(
     shape, seed=0, speed=9.0, channels=3, dtype: DTypeLike = "float32", sky=0.1, still=0.2
 ):

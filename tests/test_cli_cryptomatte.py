@@ -192,6 +192,7 @@ def test_an_identifier_that_a_pixel_has_twice_counts_once(tmp_path):
     np.testing.assert_allclose(exr.read_cryptomatte(output, "/hero"), blurred, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_another_shutter_blurs_the_ranks_alike(tmp_path):
     source, _ = write(tmp_path / "a.exr")
     output = tmp_path / "out.exr"

@@ -249,8 +249,8 @@ def test_sequences_respect_the_shutter_and_its_changes(tmp_path, more):
     [
         (("--shutter", "720deg"), None),
         (("--shutter", "3frames"), "1.5"),
-        (("--shutter-open", "0", "--shutter-close", "1.25"), "1.25"),
-        (("--shutter", "720deg", "--readout", "0.5"), "1.25"),
+        slow(("--shutter-open", "0", "--shutter-close", "1.25"), "1.25"),
+        slow(("--shutter", "720deg", "--readout", "0.5"), "1.25"),
     ],
 )
 def test_an_exposure_beyond_the_next_frame_warns(tmp_path, options, reach):

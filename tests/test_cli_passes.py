@@ -117,6 +117,7 @@ def test_a_frame_without_passes(tmp_path):
     assert "no other layer of color than R, G, B" in error
 
 
+@pytest.mark.slow
 def test_passes_of_neighbors(tmp_path):
     (path, _), (before, _) = (write_passes(tmp_path / f"{n}.exr", n, "Y") for n in (11, 10))
     output = tmp_path / "out.exr"

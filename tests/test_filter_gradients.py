@@ -10,7 +10,15 @@ import pytest
 
 import jaxblur
 from jaxblur.filters import FILTERS
-from tests.helpers import check_gradients, fields, random_frame, random_noise, settings_of
+from tests.helpers import (
+    check_gradients,
+    fields,
+    random_frame,
+    random_noise,
+    settings_of,
+    slow,
+    with_slow,
+)
 
 PARAMETERS = {
     "guertin2014": {
@@ -52,10 +60,7 @@ def blur(name, settings, noise):
     return function
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name == "layered" else name for name in FILTERS],
-)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "guertin2014", "layered"))
 def test_every_input_equals_finite_differences(name, monkeypatch):
     # Where what a texel gives is blended in the value too, its derivative is that of the value.
     shape, fetch = (5, 7), "blend"
@@ -161,8 +166,14 @@ def assert_finite_both_ways(name, settings, frames):
 
 @pytest.mark.parametrize(
     ("name", "settings"),
-    [*((name, KINK_SETTINGS) for name in FILTERS), ("guertin2014", OTHER_KINK_SETTINGS)],
-    ids=[*FILTERS, "guertin2014-expected"],
+    [
+        ("pixel_velocity", KINK_SETTINGS),
+        ("mcguire2012", KINK_SETTINGS),
+        slow("guertin2014", KINK_SETTINGS),
+        slow("guertin2014", OTHER_KINK_SETTINGS),
+        slow("layered", KINK_SETTINGS),
+    ],
+    ids=["pixel_velocity", "mcguire2012", "guertin2014", "guertin2014-expected", "layered"],
 )
 def test_value_and_gradients_are_finite_at_every_kink(name, settings):
     assert_finite_both_ways(name, settings, kink_frames())
@@ -210,6 +221,7 @@ def test_gradients_survive_debug_nans_vmap_and_checkpoint():
     np.testing.assert_allclose(batched, single, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tile_choice", ["own", "expected"])
 def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
     settings = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice=tile_choice)

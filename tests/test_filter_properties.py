@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 import jaxblur
 from jaxblur.filters import FILTERS, filter_info
-from tests.helpers import settings_of
+from tests.helpers import settings_of, with_slow
 
 # A size compiles anew: these are whole tiles and ragged ones.
 SHAPES = ((4, 8), (5, 7))
@@ -115,7 +115,7 @@ def gradients(name: str, inputs: Any) -> Any:
     return jax.grad(total)(inputs)
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "guertin2014", "layered"))
 @properties()
 @given(frame=frames(shapes=SHAPES[1:2]))
 def test_gradients_are_finite_wherever_the_motion_goes(name, frame):

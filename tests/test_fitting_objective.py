@@ -86,6 +86,7 @@ def _loss_with_taps(frame, noise, over):
     return float(jnp.mean(error_map("mse", over, Outcomes(*outcomes), jnp.full((*SHAPE, 3), 0.4))))
 
 
+@pytest.mark.slow
 def test_gradient_equals_finite_differences_and_reverse_mode():
     with jax.enable_x64(True):
         batches = batches_of(as_float64(random_frame(SHAPE)), dtype=np.float64)

@@ -8,7 +8,7 @@ import pytest
 
 import jaxblur
 from jaxblur.filters import FILTERS, filter_info
-from tests.helpers import random_frame
+from tests.helpers import random_frame, with_slow
 
 
 def test_replace_changes_buffers_and_nothing_else():
@@ -54,7 +54,7 @@ def test_numpy_buffers_give_the_same_picture():
     np.testing.assert_array_equal(ours, jaxblur.pixel_velocity(frame))
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
 def test_filters_are_exported_and_read_back(name):
     info, frame = filter_info(name), random_frame((9, 11))
     parameters = jax.tree.map(jnp.float32, info.make_parameters())

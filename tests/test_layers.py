@@ -104,6 +104,7 @@ def test_layers_at_rest_are_composited_as_they_are():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_the_picture(backend):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
@@ -119,6 +120,7 @@ def test_derivatives_are_those_of_the_picture(backend):
     assert slope == pytest.approx(float(difference), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_shutter_weighs_all_layers_once():
     layers, shutter = layers_of(9.0, -6.0), jaxblur.Shutter.triangle()
     times = np.concatenate(
@@ -137,6 +139,7 @@ def test_a_shutter_weighs_all_layers_once():
     assert abs(jax.grad(brightness)(1.0)) < 0.02
 
 
+@pytest.mark.slow
 def test_neighbors_and_spacing_are_taken_too():
     front, back = layers_of(10.0, 0.0)
     near = Layer(front, before=front, after=front)
@@ -185,7 +188,7 @@ def empty_layer():
     return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
 
 
-@pytest.mark.parametrize(("backend", "place"), [("native", 0), ("xla", 1)])
+@pytest.mark.parametrize(("backend", "place"), [("native", 0), slow("xla", 1)])
 def test_an_empty_layer_changes_nothing(backend, place):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
     layers = layers_of(9.0, -6.0)

@@ -241,6 +241,7 @@ def test_second_derivatives_and_batches_equal_those_of_xla():
     assert_trees_close(ours, theirs, 2e-5)
 
 
+@pytest.mark.slow
 def test_the_same_frame_gives_the_same_bits():
     by_native, _ = runs("guertin2014", fetch="bilinear")
     frame, parameters = make_frame((40, 64)), jaxblur.GuertinParameters()
@@ -250,6 +251,7 @@ def test_the_same_frame_gives_the_same_bits():
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_threads_that_call_at_once_get_the_same_bits():
     by_native, _ = runs("layered", fetch="bilinear")
     parameters = jaxblur.LayeredParameters()

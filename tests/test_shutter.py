@@ -277,11 +277,12 @@ def test_a_shutter_is_traced_once():
     assert len(traces) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shutter",
     [
         Shutter(0.0, 0.0),
-        slow(Shutter(0.5, 0.5)),
+        Shutter(0.5, 0.5),
         Shutter(1.0, 1.2, np.array([0.0, 0, 0, 1e-3, 0])),
         Shutter(readout=60.0),
         Shutter(-1.0, 1.0, np.array([1e-30, 1, 1e-30, 1])),
