@@ -184,7 +184,10 @@ def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,b,c,\n", "line 2: 'c' is none of the two"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1\n", "line 2 is cut off"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,a,a,\n", "line 2"),
-        ("\0\xff", "is no text"),
+        (f"{','.join(COLUMNS)}\nk,o,,t,1,,a,b,a,\n", "line 2 has no scene; give a file that"),
+        (f"{','.join(COLUMNS)}\nk, ,,t,1,,a,b,a,\n", "line 2 has no observer, scene;"),
+        ("\0\xff", "is no text; give a file that"),
+        ("a\0,b\n", "is no text; give a file that"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, text, words):
@@ -214,4 +217,5 @@ def test_the_command_prints_groups(tmp_path):
     assert found["consistency"] == found["agreement"] == 1
     assert found["groups"] == [["c"], ["a"], ["b"], ["d"]]
     assert "needs three or more" in refused("votes", files[0])
-    assert "no.csv" in refused("votes", tmp_path / "no.csv")
+    line = refused("votes", tmp_path / "no.csv")
+    assert "no.csv: no such file; give a file that the page of `jaxblur study` saved" in line

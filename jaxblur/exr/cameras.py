@@ -168,7 +168,8 @@ def read_camera_file(path: PathLike) -> CameraFile:
     """
     try:
         content: Any = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    # Deep nesting exhausts the recursion of the parser.
+    except (OSError, ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"cannot be read as JSON ({error}).") from error
     if not isinstance(content, dict) or not isinstance(content.get("frames"), dict):
         raise JaxblurIOError(path, 'must be an object with "frames", an object by frame number.')
@@ -179,7 +180,8 @@ def read_camera_file(path: PathLike) -> CameraFile:
     frames: dict[int, dict[str, Any]] = {}
     for number, fields in content["frames"].items():
         digits = number.removeprefix("-")
-        if not (digits.isascii() and digits.isdigit()) or not isinstance(fields, dict):
+        is_number = digits.isascii() and digits.isdigit() and len(digits) < 10
+        if not is_number or not isinstance(fields, dict):
             raise JaxblurIOError(path, f"frames: {number!r} must be a whole number and an object.")
         frames[int(number)] = _checked_fields(path, number, {**shared, **fields})
     return CameraFile(str(path), frames, AXES[axes])
