@@ -19,6 +19,8 @@ def message_of(error: BaseException) -> str:
     """The message of an error, one or several lines."""
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return f"out of memory; use a smaller frame or fewer samples ({error})"
+    if "std::bad_alloc" in str(error):
+        return f"{error} (out of memory; with --isolate, a larger --memory allows more)"
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
     return str(error)
