@@ -9,7 +9,12 @@ FAILED = 1
 
 
 def is_foreseeable(error: BaseException) -> bool:
-    """Whether an error is one that a user can correct, rather than a bug of this program."""
+    """Whether an error is one that a user can correct, rather than a bug of this program.
+
+    A closed pipe is neither: the command ends quietly.
+    """
+    if isinstance(error, BrokenPipeError):
+        return False
     if isinstance(error, CommandError | JaxblurIOError | ValueError | OSError | MemoryError):
         return True
     return isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error)

@@ -191,7 +191,7 @@ def _direction(
             rule,
             "fails",
             (
-                f"{words}: x and y both point the other way: likely the frames are exchanged, or the "
+                f"{words}: x and y both point the other way: likely frames are exchanged, or the "
                 "vectors lead to the other neighbor"
             ),
         )
