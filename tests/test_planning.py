@@ -136,6 +136,17 @@ def test_no_tolerance_at_all_is_met():
     assert chosen.loss + chosen.spread <= 0
 
 
+def test_no_rule_promises_a_gain():
+    """Far from the scenes of the derivation its linear terms would."""
+    far = dataclasses.replace(STATISTICS, angular_variance=1.0, layered_tiles=0.0)
+    assert plan(far, tolerance_db=2.0).filter == "layered"
+    cheapest = plan(
+        far,
+        budget_ms=0.2304 * candidates()["pixel_velocity, 9 samples"]["milliseconds_per_megapixel"],
+    )
+    assert cheapest.loss == 0
+
+
 def test_more_tolerance_never_takes_longer():
     times = [plan(STATISTICS, tolerance_db=t).milliseconds for t in (0.0, 0.25, 0.5, 1.0, 2.0, 9.0)]
     assert times == sorted(times, reverse=True) and times[0] > times[-1]

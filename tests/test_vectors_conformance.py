@@ -98,9 +98,7 @@ def words_of(following):
 def test_wrong_frames_are_told_from_wrong_vectors():
     exchanged = words_of(at_time(-1)[0])
     for rule in ("V2", "V3"):
-        assert (
-            "likely frames are exchanged, or the vectors lead to the other" in exchanged[rule]
-        )
+        assert "likely frames are exchanged, or the vectors lead to the other" in exchanged[rule]
     assert exchanged["V4"].startswith("holds: 1.0")
     left_out = words_of(at_time(2)[0])
     assert left_out["V2"].startswith("holds") and left_out["V3"].startswith("holds")
