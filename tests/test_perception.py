@@ -171,6 +171,16 @@ def test_a_round_that_was_not_finished_is_left_out(tmp_path):
     assert len(votes.counts) == 1 and votes.unfinished == {"ann": 1}
 
 
+def test_many_names_take_no_memory(tmp_path):
+    """6,000 stimuli of 3,000 observers, each with one vote: no round is complete."""
+    path = tmp_path / "many.csv"
+    rows = [["k", f"o{k}", "", "t", 1, "s", f"a{k}", f"b{k}", f"a{k}", ""] for k in range(3000)]
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([COLUMNS, *rows])
+    votes = perception.read_votes([path])
+    assert len(votes.counts) == 0 and len(votes.unfinished) == 3000
+
+
 def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
     path = write_votes(tmp_path / "1.csv", "sleepy", "cab", right=0)
     with pytest.raises(ValueError, match="answered 80 % of the catch trials right \\(sleepy 0 %"):

@@ -167,24 +167,26 @@ def _votes(rows: Sequence[Mapping[str, str]], left_out: Mapping[str, float]) -> 
     plain = [row for row in rows if not row["catch"]]
     names = tuple(dict.fromkeys(name for row in plain for name in (row["first"], row["second"])))
     place = {name: index for index, name in enumerate(sorted(names))}
-    rounds: dict[tuple[str, str, int], np.ndarray] = {}
+    # By preferred and other stimulus: files of many names would fill the memory with tables.
+    rounds: dict[tuple[str, str, int], list[tuple[int, int]]] = {}
     groups: dict[str, str] = {}
     times: dict[tuple[str, str, frozenset[str]], int] = {}
     for row in plain:
         pair = (row["observer"], row["scene"], frozenset((row["first"], row["second"])))
         times[pair] = times.get(pair, 0) + 1
-        shape = (len(names), len(names))
-        votes = rounds.setdefault((*pair[:2], times[pair]), np.zeros(shape, int))
         other = row["second"] if row["chosen"] == row["first"] else row["first"]
-        votes[place[row["chosen"]], place[other]] += 1
+        votes = rounds.setdefault((*pair[:2], times[pair]), [])
+        votes.append((place[row["chosen"]], place[other]))
         groups[row["observer"]] = row["group"]
     whole = math.comb(len(names), 2)
-    done = {key: votes for key, votes in rounds.items() if votes.sum() == whole}
+    done = {key: votes for key, votes in rounds.items() if len(votes) == whole}
     unfinished: dict[str, int] = {}
     for (observer, *_), votes in rounds.items():
-        if votes.sum() != whole:
-            unfinished[observer] = unfinished.get(observer, 0) + int(votes.sum())
-    counts = np.array(list(done.values()), int).reshape(-1, len(names), len(names))
+        if len(votes) != whole:
+            unfinished[observer] = unfinished.get(observer, 0) + len(votes)
+    counts = np.zeros((len(done), len(names), len(names)), int)
+    for table, votes in zip(counts, done.values(), strict=True):
+        table[tuple(np.transpose(votes))] = 1
     observers = tuple(observer for observer, _, _ in done)
     return Votes(
         tuple(place), counts, observers, tuple(groups[o] for o in observers), left_out, unfinished
