@@ -24,6 +24,7 @@ Mask = Bool[jax.Array | np.ndarray, "height width"]
 Scalar = Float[jax.Array, ""]
 
 SSIM_WINDOW = 11
+"""Rows and columns of the window of SSIM, and of the smallest image that has scores."""
 SSIM_SIGMA = 1.5
 RELATIVE_FLOOR = 1e-2
 

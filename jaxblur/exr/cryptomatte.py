@@ -259,7 +259,8 @@ def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str,
     try:
         listed: Any = json.loads(text)
         return {str(key): _identifier(value) for key, value in listed.items()}
-    except (ValueError, AttributeError, TypeError) as error:
+    # Deep nesting exhausts the recursion of the parser.
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
         raise JaxblurIOError(
             info.path, f"Cryptomatte {name}: damaged manifest ({error}); render again."
         ) from error

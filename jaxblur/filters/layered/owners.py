@@ -207,7 +207,7 @@ class Maps(NamedTuple):
 
 
 def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
-    """What there is to do at a pixel, see `states_of`."""
+    """What there is to do at a pixel: whether it rests, moves, or also lacks an owner."""
     marks = [
         images.owners.read(k * images.paths.height + at.row, at.column)[0]
         for k in range(intervals + 1)
