@@ -75,11 +75,10 @@ def filters() -> Mapping[str, Blur]:
 def blurred(name: str, frame: jaxblur.Frame, number: int) -> Any:
     """One frame by a filter with its default parameters and settings, noise by its number."""
     info = jaxblur.filter_info(name)
-    noise = make_noise(info.settings.noise, *np.shape(frame.depth), number)
-    run, parameters = jaxblur.FILTERS[name], info.parameters
-    if parameters is None:
-        return run(frame, settings=info.settings, noise=noise)
-    return run(frame, parameters(), settings=info.settings, noise=noise)
+    height, width = np.shape(frame.depth)
+    noise = make_noise(info.settings.noise, height, width, number)
+    parameters = None if info.parameters is None else info.parameters()
+    return jaxblur.FILTERS[name](frame, parameters, settings=info.settings, noise=noise)
 
 
 def clip_of(images: Sequence[Any]) -> jax.Array:
@@ -120,7 +119,7 @@ def judge_noise(shots: Sequence[Shot]) -> list[tuple[Any, ...]]:
     for each in shots:
         for kind, animated in NOISES:
             seeds = [number if animated else 0 for number in range(len(each.frames))]
-            noises = [make_noise(kind, *np.shape(each.frames[0].depth), seed) for seed in seeds]
+            noises = [make_noise(kind, *SIZE, seed) for seed in seeds]
             images = clip_of(
                 [
                     jaxblur.guertin2014(frame, published, settings=SETTINGS, noise=noise)
@@ -161,7 +160,9 @@ def fit(train: Sequence[Shot], loss: str, steps: int) -> jaxblur.GuertinParamete
         return jnp.mean(jnp.square(shown - expected))
 
     stacked = [(jax.tree.map(lambda *b: jnp.stack(b), *each.frames), each.truth) for each in train]
-    free = {name: jnp.log(jnp.asarray(getattr(published, name), jnp.float32)) for name in FITTED}
+    free: Any = {
+        name: jnp.log(jnp.asarray(getattr(published, name), jnp.float32)) for name in FITTED
+    }
     optimizer = optax.adam(0.1)
     state = optimizer.init(free)
     for step in range(steps):

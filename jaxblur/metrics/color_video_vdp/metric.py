@@ -45,8 +45,8 @@ def cvvdp(
     Returns:
         Scalar in JOD (just-objectionable differences): 10 for equal clips, where the derivative is
         0; of two that differ by 1 JOD, 75 of 100 people prefer the better one. Compiles once for
-        each shape, frame rate and display. The memory is that of the clips and of the bands of a
-        single frame; a gradient needs one more clip for each that it is taken of.
+        each shape, frame rate and display. Frames are judged one after the other, so that
+        the memory is that of the clips and of one frame; so for gradients.
 
     Raises:
         ValueError: shapes differ or are no clips, sides are below 4 pixels, a clip has no frame

@@ -126,7 +126,8 @@ def expanded(planes: Planes, size: tuple[int, ...]) -> Resized:
 def separable(rows: np.ndarray, columns: np.ndarray, planes: Planes) -> Resized:
     """Apply one matrix along the rows and one along the columns.
 
-    Products compile in a third of the time that sums of shifted planes take, gradients too.
+    Products compile in less than half of the time that sums of shifted planes take, gradients in
+    a third.
 
     Args:
         rows: (H', H).
@@ -136,8 +137,8 @@ def separable(rows: np.ndarray, columns: np.ndarray, planes: Planes) -> Resized:
     Returns:
         (..., H', W').
     """
-    rows, columns = (jnp.asarray(matrix, planes.dtype) for matrix in (rows, columns))
-    return jnp.matmul(rows, jnp.matmul(planes, columns.T, precision="highest"), precision="highest")
+    left, right = jnp.asarray(rows, planes.dtype), jnp.asarray(columns.T, planes.dtype)
+    return jnp.matmul(left, jnp.matmul(planes, right, precision="highest"), precision="highest")
 
 
 @functools.lru_cache
