@@ -23,6 +23,7 @@ from .commands import (
     fit,
     info,
     integrate,
+    jod,
     layers,
     play,
     post,
@@ -38,7 +39,7 @@ from .interrupts import never_lost, with_termination
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (
     *(blur, fit, layers, post, info, vectors, report, demo, scene, bench),
-    *(export, integrate, play, study, votes),
+    *(export, integrate, jod, play, study, votes),
 )
 
 USAGE = 2
