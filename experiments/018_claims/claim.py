@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from statistics import mean
 from typing import Any
 
@@ -10,7 +11,7 @@ import jax
 import numpy as np
 
 import jaxblur
-from experiments.common import Example, catalogue_example
+from experiments.common import Example, catalogue_example, cycles_examples
 from jaxblur import metrics
 from jaxblur.filters import filter_info
 from jaxblur.fitting.objective import draw_noise
@@ -47,19 +48,18 @@ class Extent:
     """The extent of a run.
 
     Attributes:
-        size: (height, width) of a catalogue scene; other sizes are its multiples.
-        truth_samples: images averaged for a truth.
-        scenes: catalogue scenes of the rows that are means over scenes.
+        size: (height, width) of a scene; other sizes are its multiples.
+        truth_samples: images averaged for the truth of a catalogue scene.
+        scenes: catalogue scenes that stand for rendered ones where there are none.
         rounds: number of times that a time is measured.
+        reference: folder of rendered scenes as `experiments/blender` writes them.
     """
 
     size: tuple[int, int] = (180, 320)
     truth_samples: int = 64
-    scenes: tuple[str, ...] = (
-        *("cube_between_crates", "gears", "flagpole"),
-        *("rotor_over_city", "cubes_on_teapot", "crossing"),
-    )
+    scenes: tuple[str, ...] = ("cube_between_crates", "cubes_on_teapot", "flagpole", "tracked_car")
     rounds: int = 7
+    reference: Path | None = None
 
     @property
     def large(self) -> tuple[int, int]:
@@ -72,7 +72,7 @@ class Extent:
         return self.size[0] // 2, self.size[1] // 2
 
 
-TINY = Extent(size=(72, 128), truth_samples=8, scenes=("gears", "crossing"), rounds=3)
+TINY = Extent(size=(72, 128), truth_samples=8, scenes=("crossing", "flagpole"), rounds=3)
 
 Claim = Callable[[Extent], Row]
 """Measures a claim; its name is that of the row in the results."""
@@ -84,9 +84,18 @@ def example(name: str, size: tuple[int, int], shutter: float, samples: int) -> E
     return catalogue_example(name, size, shutter, samples)
 
 
-def examples(extent: Extent, shutter: float = 1.0) -> list[Example]:
-    """All scenes of an extent."""
-    return [example(name, extent.size, shutter, extent.truth_samples) for name in extent.scenes]
+@functools.cache
+def examples(extent: Extent, size: tuple[int, int] | None = None) -> list[Example]:
+    """The scenes of an extent, in its size or another: rendered ones if there are any."""
+    size = size or extent.size
+    if extent.reference is not None:
+        return cycles_examples(extent.reference, size[1])
+    return [example(name, size, 1.0, extent.truth_samples) for name in extent.scenes]
+
+
+def named(examples: Sequence[Example], name: str) -> Example:
+    """The example of a name."""
+    return next(one for one in examples if one.name == name)
 
 
 def blur(

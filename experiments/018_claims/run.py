@@ -1,9 +1,11 @@
 """Every claim with a number in the sources that this package can test, beside what is so here.
 
-    python -m experiments.018_claims.run [-o OUT] [--claims NAME,NAME] [--tiny]
+    python -m experiments.018_claims.run --reference-data DIR [-o OUT] [--claims NAME,NAME]
 
 Writes results.json, with all numbers of each claim, to OUT (default: this folder), and the table to
 README.md beside it, between the markers. A run of some claims keeps the results of the others.
+DIR holds rendered scenes as `experiments/blender` writes them; without it scenes of the catalogue
+stand for them. ``--tiny`` shows that a run works.
 """
 
 import argparse
@@ -76,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Test the claims of the sources.")
     parser.add_argument("-o", "--output", type=Path, default=FOLDER, metavar="OUT")
     parser.add_argument("--claims", default=",".join(CLAIMS), help="default: all")
+    parser.add_argument("--reference-data", type=Path, metavar="DIR", help="rendered scenes")
     parser.add_argument("--tiny", action="store_true", help="a run that shows that it works")
     options = parser.parse_args(arguments)
     chosen = options.claims.split(",")
@@ -85,8 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results, page = options.output / "results.json", options.output / "README.md"
     if not page.is_file():
         parser.error(f"{page} is missing; copy that of {FOLDER} there.")
+    extent = dataclasses.replace(
+        TINY if options.tiny else Extent(), reference=options.reference_data
+    )
     for name in chosen:
-        rows = read_rows(results) | {name: CLAIMS[name](TINY if options.tiny else Extent())}
+        rows = read_rows(results) | {name: CLAIMS[name](extent)}
         write_rows(results, rows)
         jax.clear_caches()
         page.write_text(with_table(page.read_text(encoding="utf-8"), table(rows)), encoding="utf-8")
