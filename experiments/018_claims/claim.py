@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -40,7 +40,7 @@ class Row:
     theirs: str
     ours: str
     verdict: str
-    measured: dict[str, Any] = dataclasses.field(default_factory=dict)
+    measured: Mapping[Any, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +118,8 @@ def blur(
         (H, W, C) linear light.
     """
     info = filter_info(name)
-    noise = None if seed is None else draw_noise(jax.random.key(seed), frame.depth.shape)
+    height, width = frame.depth.shape
+    noise = None if seed is None else draw_noise(jax.random.key(seed), (height, width))
     made = info.make_parameters(**(parameters or {}))
     return info.call(frame, made, settings=info.make_settings(**settings), noise=noise)
 

@@ -1,8 +1,8 @@
 """Claims about tiles, the radius, and the published parameters."""
 
+import functools
 import importlib
 from collections.abc import Callable
-from functools import partial
 from statistics import mean
 from typing import Any
 
@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.common import Example
 from jaxblur import metrics
 from jaxblur.filters.tiles import dominant_velocity, tile_variance
 
@@ -44,7 +43,11 @@ def largest_radius(extent: Extent) -> Row:
         tested="scenes at twice the size, PSNR where it moves, by r",
         theirs="a sharp decrease",
         ours=f"{listed(found)} dB",
-        verdict=AGREES if falls and found[100] - found[160] > 0.5 else PARTLY if falls else DIFFERS,
+        verdict=AGREES
+        if falls and found[40] - found[160] > 1
+        else f"{PARTLY}: it falls, but not sharply"
+        if falls
+        else DIFFERS,
         measured=found,
     )
 
@@ -88,7 +91,7 @@ def noise_of_tau(extent: Extent) -> Row:
         claim="a large tau gives noise, a low one makes tile edges apparent",
         source="Guertin 2014, 3.5, figure 3.9",
         tested="noise in 255ths of display values, mean of the scenes; squared error on borders of "
-        f"tiles of {SEAM_TILE} pixels over that elsewhere, mean of the scenes, by tau",
+        f"tiles of {SEAM_TILE} pixels over that elsewhere, `falling_cubes`, by tau",
         theirs="noise rises, edges fall",
         ours=f"noise {listed(noise)}; edges {listed(edges, 3)}",
         verdict=AGREES if rises and falls else PARTLY if rises or falls else DIFFERS,
@@ -117,27 +120,24 @@ def seams(extent: Extent) -> Row:
     )
 
 
+@functools.cache
 def seam_ratio(extent: Extent, tau: float, **settings: Any) -> float:
     """Squared error of pixels on borders of tiles over that of the same pixels elsewhere.
 
     The frame is cropped in all ways, which moves the tiles over it (experiment 012). The
     expectation over the draw of a tile is judged, so that noise does not hide the seams.
     """
+    cubes = examples(extent)[1]
+    choice = "expected" if tau > 0 else "own"
 
-    def error(one: Example, part: tuple[slice, slice]) -> np.ndarray:
-        frame = jax.tree.map(lambda image: image[part], one.frame)
-        choice = "expected" if tau > 0 else "own"
-        image = blur(
-            *("guertin2014", frame, {"tau": tau}),
-            **{"radius": SEAM_TILE, "tile_choice": choice, **settings},
-        )
-        truth = metrics.display(one.truth[part])
-        return np.square(np.asarray(metrics.display(image) - truth)).mean(axis=-1)
+    def error(part: tuple[slice, slice]) -> np.ndarray:
+        frame = jax.tree.map(lambda image: image[part], cubes.frame)
+        changed = {"radius": SEAM_TILE, "tile_choice": choice, **settings}
+        image = blur("guertin2014", frame, {"tau": tau}, **changed)
+        difference = metrics.display(image) - metrics.display(cubes.truth[part])
+        return np.square(np.asarray(difference)).mean(axis=-1)
 
-    return mean(
-        robustness.seam_ratio(partial(error, one), extent.size, SEAM_TILE)
-        for one in examples(extent)
-    )
+    return robustness.seam_ratio(error, extent.size, SEAM_TILE)
 
 
 def diagonal_tiles(extent: Extent) -> Row:
