@@ -48,6 +48,7 @@ def test_maxima_in_two_passes_are_those_of_one():
         np.testing.assert_array_equal(costs.maxima(jnp.asarray(speed), windows), expected)
 
 
+@pytest.mark.slow
 def test_rows_say_what_they_measured():
     diagonal = tiles.diagonal_tiles(EXTENT)
     assert f"{diagonal.measured['all']:.2f} dB with all" in diagonal.ours
@@ -57,6 +58,7 @@ def test_rows_say_what_they_measured():
     assert variance.verdict.startswith(VERDICTS)
 
 
+@pytest.mark.slow
 def test_the_noise_of_more_samples_is_less():
     row = samples.fewest_samples(EXTENT)
     assert row.measured[5] > row.measured[15] > row.measured[35] > 0
