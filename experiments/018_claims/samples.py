@@ -328,7 +328,11 @@ def split_by_variance(extent: Extent) -> Row:
         tested="`guertin2014`, N = 35, PSNR where it moves, mean of the scenes",
         theirs="slightly improved, roughly equal (by eye)",
         ours=f"even {found['even']:.2f} dB, by variance {found['variance']:.2f} dB",
-        verdict=AGREES if 0 <= gap < 0.5 else PARTLY if abs(gap) < 0.5 else DIFFERS,
+        verdict=AGREES
+        if 0 <= gap < 0.5
+        else PARTLY
+        if abs(gap) < 0.5
+        else f"{DIFFERS}; so does [005](../005_what_a_scene_needs/README.md), with the reason",
         measured=found,
     )
 
