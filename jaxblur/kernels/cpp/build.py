@@ -11,12 +11,10 @@ import os
 import pathlib
 import platform
 import shutil
-import signal
 import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -29,6 +27,7 @@ from ..._util.cache import (
     private_folder,
     trim_cache,
 )
+from .compiler import NO_COMPILER, ZIG_CACHES, find_compiler, run_command, words_of
 
 LOG = logging.getLogger("jaxblur")
 FLAGS = (
@@ -65,14 +64,6 @@ class BuildFailed(Exception):
 
 
 @functools.cache
-def find_compiler() -> str | None:
-    """Path of a C++ compiler, None where there is none or where kernels cannot be loaded."""
-    if platform.system() not in ("Linux", "Darwin"):
-        return None
-    return next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
-
-
-@functools.cache
 def _machine() -> str:
     """The machine and the software that kernels are compiled for and by.
 
@@ -84,49 +75,13 @@ def _machine() -> str:
     except OSError:
         kinds = {
             platform.processor(),
-            *_words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
+            *words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
         }
-    compiler = find_compiler() or ""
-    versions = [
-        jax.__version__,
-        jaxlib.version.__version__,
-        compiler,
-        *_words_of(compiler, "--version"),
-    ]
+    compiler = find_compiler()
+    versions = [jax.__version__, jaxlib.version.__version__]
+    if compiler is not None:
+        versions += [*compiler.command, *compiler.flags, *words_of(*compiler.version)]
     return "\n".join([platform.machine(), *versions, *sorted(kinds)])
-
-
-def _words_of(*command: str) -> list[str]:
-    """The lines that a command prints; none if it fails or takes long."""
-    try:
-        done = _run(command, limit=10)
-    except (OSError, subprocess.SubprocessError):
-        return []
-    return done.stdout.splitlines()
-
-
-def _run(command: Sequence[str], limit: float) -> "subprocess.CompletedProcess[str]":
-    """Run a command; one that exceeds its time is ended together with the processes it started.
-
-    Raises:
-        subprocess.TimeoutExpired: it took more than ``limit`` seconds.
-    """
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as process:
-        try:
-            out, errors = process.communicate(timeout=limit)
-        except BaseException:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            raise
-    return subprocess.CompletedProcess(command, process.returncode, out, errors)
 
 
 def _folder() -> pathlib.Path:
@@ -175,8 +130,11 @@ def _compile(source: str, library: pathlib.Path) -> None:
             refused again, and a compiler that takes too long is not asked again.
         OSError: the disk refused.
     """
-    compiler = find_compiler() or "c++"
-    for known in ((compiler, source), (compiler, "")):
+    compiler = find_compiler()
+    if compiler is None:
+        raise BuildFailed(NO_COMPILER)
+    name = " ".join(compiler.command)
+    for known in ((name, source), (name, "")):
         if known in _failures:
             raise _failures[known]
     _remove_left_over(library.parent)
@@ -184,17 +142,18 @@ def _compile(source: str, library: pathlib.Path) -> None:
         program = pathlib.Path(folder, "kernel.cc")
         program.write_text(source, encoding="utf-8")
         built = program.with_suffix(".so")
+        environment = os.environ | dict.fromkeys(ZIG_CACHES, folder)
         words = ""
         for machine in MACHINE_FLAGS:
-            command = [compiler, *_flags(), *machine, f"-I{jax.ffi.include_dir()}"]
-            command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
+            command = [*compiler.command, *_flags(), *compiler.flags, *machine]
+            command += [f"-I{jax.ffi.include_dir()}", "-o", os.fspath(built), os.fspath(program)]
             try:
-                done = _run(command, TIME_LIMIT)
+                done = run_command([*command, "-lm", "-lpthread"], TIME_LIMIT, environment)
             except subprocess.TimeoutExpired as error:
                 failure = BuildFailed(
-                    f"the C++ compiler {compiler} took more than {TIME_LIMIT} s for a kernel"
+                    f"the C++ compiler {name} took more than {TIME_LIMIT} s for a kernel"
                 )
-                _failures[compiler, ""] = failure
+                _failures[name, ""] = failure
                 raise failure from error
             if done.returncode == 0:
                 _keep(built, library)
@@ -203,8 +162,8 @@ def _compile(source: str, library: pathlib.Path) -> None:
                 return
             words = done.stderr
     error = _first_error(words)
-    failure = BuildFailed(f"the C++ compiler {compiler} refused a kernel: {error}")
-    _failures[compiler, source] = failure
+    failure = BuildFailed(f"the C++ compiler {name} refused a kernel: {error}")
+    _failures[name, source] = failure
     raise failure
 
 
