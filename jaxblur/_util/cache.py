@@ -138,7 +138,7 @@ def trim_cache() -> None:
         folder = private_folder()
     except UnsafeFolderError:
         return
-    found = sorted(_compiled_code(folder), reverse=True)
+    found = sorted(compiled_code(folder), reverse=True)
     sizes = list(itertools.accumulate(size for _, size, _ in found))
     if not sizes or sizes[-1] <= LARGEST:
         return
@@ -190,8 +190,12 @@ def _is_torn(entry: bytes) -> bool:
     return not unpacking.eof
 
 
-def _compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
-    """Time of last use, bytes and path of each file of compiled code."""
+def compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
+    """Yield time of last use, bytes and path of each file of compiled code.
+
+    Args:
+        folder: `cache_folder`.
+    """
     for pattern in ("*-cache", "kernels/jaxblur_*.so", "kernels/jaxblur_*.json"):
         for path in folder.glob(pattern):
             try:
