@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import jaxblur
-from jaxblur.cli import doctor
+from jaxblur._util import compiler
+from jaxblur.cli.commands import doctor
 from jaxblur.kernels import cpp
-from jaxblur.kernels.cpp import build, compiler
+from jaxblur.kernels.cpp import build
 
 from .command_line import run
 

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur._util.cache import checksum_file
+from jaxblur._util.cache import checksum_file, is_intact
+from jaxblur._util.compiler import Compiler
 from jaxblur.kernels import Image, Outcome, each_pixel, sum_over
 from jaxblur.kernels.cpp import build, emit
-from jaxblur.kernels.cpp.compiler import Compiler
 from jaxblur.kernels.tracing import trace
 from tests.test_kernels_operations import Planes, sum_of
 
@@ -207,7 +207,7 @@ def test_a_library_that_is_not_as_it_was_compiled_is_compiled_again(
     damage(library)
     assert build.register(source) == library.stem
     assert compiled == [source.replace("@NAME@", library.stem)] * 2
-    assert build._is_intact(library)
+    assert is_intact(library)
 
 
 def test_an_intact_library_is_not_compiled_again(kept_in, compiled, one_library):

@@ -9,7 +9,6 @@ import json
 import logging
 import os
 import pathlib
-import platform
 import shutil
 import subprocess
 import tempfile
@@ -21,13 +20,15 @@ import jax
 import jaxlib.version
 
 from ..._util.cache import (
+    BUILDING,
     UnsafeFolderError,
     checksum_file,
-    is_own_file,
+    is_intact,
+    own_bytes,
     private_folder,
     trim_cache,
 )
-from .compiler import NO_COMPILER, ZIG_CACHES, find_compiler, run_command, words_of
+from ..._util.compiler import NO_COMPILER, ZIG_CACHES, find_compiler, machine_words, run_command
 
 LOG = logging.getLogger("jaxblur")
 FLAGS = (
@@ -48,9 +49,6 @@ TIME_LIMIT = 300
 LEFT_OVER = 2 * len(MACHINE_FLAGS) * TIME_LIMIT
 """Seconds after which a folder of a compilation belongs to a process that was killed."""
 
-BUILDING = "building_"
-"""How names of folders of compilations begin."""
-
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
 _said = False
@@ -65,23 +63,8 @@ class BuildFailed(Exception):
 
 @functools.cache
 def _machine() -> str:
-    """The machine and the software that kernels are compiled for and by.
-
-    Computers that share a home folder, and versions of compilers, do not share kernels.
-    """
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
-        kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
-    except OSError:
-        kinds = {
-            platform.processor(),
-            *words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
-        }
-    compiler = find_compiler()
-    versions = [jax.__version__, jaxlib.version.__version__]
-    if compiler is not None:
-        versions += [*compiler.command, *compiler.flags, *words_of(*compiler.version)]
-    return "\n".join([platform.machine(), *versions, *sorted(kinds)])
+    """The machine and the software that kernels are compiled for and by."""
+    return "\n".join([jax.__version__, jaxlib.version.__version__, *machine_words(find_compiler())])
 
 
 def _folder() -> pathlib.Path:
@@ -180,29 +163,6 @@ def _keep(built: pathlib.Path, library: pathlib.Path) -> None:
     os.replace(built, library)
 
 
-def _is_intact(library: pathlib.Path) -> bool:
-    """Whether a library is there, is as it was compiled, and nobody else can write it."""
-    try:
-        return hashlib.sha256(_own_bytes(library)).hexdigest() == _own_bytes(
-            checksum_file(library)
-        ).decode("ascii", "replace")
-    except OSError:
-        return False
-
-
-def _own_bytes(path: pathlib.Path) -> bytes:
-    """The contents of a file that only this user can write.
-
-    Raises:
-        OSError: there is no such file; links do not count.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with open(descriptor, "rb") as file:
-        if not is_own_file(os.fstat(descriptor)):
-            raise PermissionError(f"{path} is not a file of this user alone")
-        return file.read()
-
-
 def _remove_left_over(folder: pathlib.Path) -> None:
     """Remove the folders of compilations whose processes were killed."""
     for path in folder.glob(f"{BUILDING}*"):
@@ -259,7 +219,7 @@ def _register(source: str) -> str:
     name = f"jaxblur_sum_{key}"
     library = _folder() / f"{name}.so"
     try:
-        if not _is_intact(library):
+        if not is_intact(library):
             _say_once()
             LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
@@ -336,10 +296,10 @@ def find_known(key: str | None) -> Known | None:
         return None
     with _ONE_AT_A_TIME:
         try:
-            known = Known(*json.loads(_own_bytes(record)))
+            known = Known(*json.loads(own_bytes(record)))
             library = record.with_name(f"{known.target}.so")
             if known.target not in _loaded:
-                if not _is_intact(library):
+                if not is_intact(library):
                     return None
                 _load(known.target, library)
         except (OSError, ValueError, TypeError, AttributeError):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxblur.kernels.cpp import compiler
+from jaxblur._util import compiler
 
 REPOSITORY = Path(__file__).parents[1]
 

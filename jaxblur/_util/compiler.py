@@ -1,9 +1,10 @@
-"""The C++ compiler: which one, and how it is run."""
+"""The C++ compiler: which one, how it is run, and the machine that it compiles for."""
 
 import contextlib
 import functools
 import importlib.util
 import os
+import pathlib
 import platform
 import shutil
 import signal
@@ -55,6 +56,25 @@ def find_compiler() -> Compiler | None:
     # Without these flags it first compiles its C++ library and run-time library, for minutes, and
     # links them into each kernel, which needs neither.
     return Compiler((zig, "c++"), ("-nostdlib", "-lc", "-s"), (zig, "version"))
+
+
+def machine_words(compiler: Compiler | None) -> list[str]:
+    """The machine that code is compiled for, and the compiler.
+
+    Computers that share a home folder, and versions of compilers, do not share compiled code.
+    """
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
+    except OSError:
+        kinds = {
+            platform.processor(),
+            *words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
+        }
+    words = [platform.machine(), *sorted(kinds)]
+    if compiler is not None:
+        words += [*compiler.command, *compiler.flags, *words_of(*compiler.version)]
+    return words
 
 
 def words_of(*command: str) -> list[str]:

@@ -20,9 +20,9 @@ from typing import Any
 import jaxblur
 from jaxblur._util.cache import UnsafeFolderError, cache_folder, compiled_code, private_folder
 
-from .arguments import add_command, add_compute_options
-from .compute import start_jax
-from .console import print_line
+from ..arguments import add_command, add_compute_options
+from ..compute import start_jax
+from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")
 PACKAGES = ("numpy", "OpenImageIO", "jax", "jaxlib")
@@ -190,7 +190,7 @@ def _processor() -> str:
 
 def _compiler(remarks: list[str]) -> dict[str, str] | None:
     """The C++ compiler that native code is compiled by."""
-    from jaxblur.kernels.cpp.compiler import NO_COMPILER, find_compiler, loads_kernels, words_of
+    from jaxblur._util.compiler import NO_COMPILER, find_compiler, loads_kernels, words_of
 
     compiler = find_compiler()
     if compiler is None:
