@@ -130,7 +130,7 @@ def intact_bytes(path: pathlib.Path) -> bytes | None:
 
 
 def keep_bytes(path: pathlib.Path, contents: bytes) -> None:
-    """Write compiled code and its checksum; both are whole when they get their names.
+    """Write compiled code and its checksum, by which `intact_bytes` knows what is not whole.
 
     Raises:
         OSError: the disk refused.

@@ -77,7 +77,7 @@ def run_program(path: pathlib.Path, program: Program, inputs: Sequence[Any]) -> 
     # The C++ part of jaxlib logs messages that a user can do nothing about.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     import numpy as np
-    from jaxlib import _hlo, _jax
+    from jaxlib import _hlo, _jax  # pyright: ignore[reportAttributeAccessIssue]
 
     for name in program.kernels:
         if name not in _jax.custom_call_targets("cpu"):

@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import functools
 import hashlib
-import importlib.metadata
 import importlib.util
 import logging
 import os
@@ -94,7 +93,7 @@ def _path_of(chosen: Choice, inputs: Mapping[str, Any]) -> pathlib.Path | None:
         # `start_jax` warns of it.
         return None
     words = [
-        *(importlib.metadata.version(package) for package in ("jax", "jaxlib")),
+        *map(_version_of, ("jax", "jaxlib")),
         *machine_words(find_compiler()),
         # Variables change what is compiled.
         *(f"{k}={v}" for k, v in sorted(os.environ.items()) if k.startswith(("JAX", "XLA"))),
@@ -104,6 +103,13 @@ def _path_of(chosen: Choice, inputs: Mapping[str, Any]) -> pathlib.Path | None:
     ]
     key = hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
     return folder / f"jaxblur_{chosen.name}_{key}.xla"
+
+
+def _version_of(package: str) -> str:
+    """The file that says the version of a package, which is not imported."""
+    found = importlib.util.find_spec(package)
+    assert found is not None and found.origin is not None
+    return pathlib.Path(found.origin).with_name("version.py").read_text(encoding="utf-8")
 
 
 @functools.cache
@@ -127,6 +133,8 @@ def _compile(chosen: Choice, inputs: Mapping[str, Any], path: pathlib.Path | Non
 
     from jaxblur.frame import Frame
 
+    # XLA cannot serialize what it has itself loaded from jax's cache, and this is kept anyway.
+    jax.config.update("jax_enable_compilation_cache", False)
     info = filter_info(chosen.name)
 
     def blurred(*values: Any) -> Any:
@@ -139,7 +147,7 @@ def _compile(chosen: Choice, inputs: Mapping[str, Any], path: pathlib.Path | Non
     if path is None:
         return image
     try:
-        executable = compiled.runtime_executable()
+        executable: Any = compiled.runtime_executable()
         program = Program(
             executable.client.serialize_executable(executable),
             tuple(sorted(set(re.findall(r"jaxblur_sum_\w+", compiled.as_text() or "")))),

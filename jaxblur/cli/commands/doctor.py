@@ -3,7 +3,6 @@
 import argparse
 import dataclasses
 import importlib
-import importlib.metadata
 import importlib.util
 import json
 import logging
@@ -169,11 +168,13 @@ def _versions(problems: list[str]) -> dict[str, str]:
 
 def _extra(packages: tuple[str, ...]) -> dict[str, str | None]:
     """Versions of the packages of an extra; None for those that are missing."""
+    from importlib.metadata import PackageNotFoundError, version
+
     versions: dict[str, str | None] = {}
     for name in packages:
         try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
+            versions[name] = version(name)
+        except PackageNotFoundError:
             versions[name] = None
     return versions
 
