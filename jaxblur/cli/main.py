@@ -19,6 +19,7 @@ from .commands import (
     bench,
     blur,
     demo,
+    doctor,
     export,
     fit,
     info,
@@ -39,7 +40,7 @@ from .interrupts import never_lost, with_termination
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (
     *(blur, fit, layers, post, info, vectors, report, demo, scene, bench),
-    *(export, integrate, jod, play, study, votes),
+    *(export, integrate, jod, play, study, votes, doctor),
 )
 
 USAGE = 2

@@ -4,19 +4,23 @@ All become one convention, that of `jaxblur.camera`: camera space has x right, y
 matrices take column vectors from the world to the camera, and focal lengths are in pixels.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import pathlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import nearest
 
 from .listing import FileInfo, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WORLD_TO_CAMERA, WORLD_TO_NDC = "worldToCamera", "worldToNDC"
 """Header attributes of OpenEXR, which Arnold, Karma, Mantra and RenderMan can write."""

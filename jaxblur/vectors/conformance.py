@@ -4,15 +4,19 @@ The rules are those of ``jaxblur/vectors/README.md``. Each is measured on two co
 three for vectors to both sides): a point moves by its vector to where the other frame shows it.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from .convert import Displacements
 from .rank import SAMPLE_LIMIT, compressed, differences
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Outcome = Literal["holds", "fails", "undecided"]
 
