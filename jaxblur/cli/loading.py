@@ -168,12 +168,14 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     """
     import numpy as np
 
-    from jaxblur import metrics, vectors
+    from jaxblur import vectors
 
     source = source or read(arguments)
     buffers = source.buffers
     truth = None
     if arguments.truth is not None:
+        from jaxblur import metrics
+
         height, width = buffers.color.shape[:2]
         if min(height, width) < (least := metrics.SSIM_WINDOW):
             raise CommandError(

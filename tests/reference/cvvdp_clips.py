@@ -69,7 +69,7 @@ def photographed() -> tuple[np.ndarray, np.ndarray]:
     cut = (slice(40, 136), slice(60, 188), slice(0, 3))
     sharp = exr.read_image(DATA / "cube_over_crates_frame_0011.exr")
     truth = exr.read_image(DATA / "cube_over_crates_truth_0011.exr")
-    return tuple(np.asarray(image, np.float32)[cut] for image in (sharp, truth))
+    return np.asarray(sharp, np.float32)[cut], np.asarray(truth, np.float32)[cut]
 
 
 def pairs() -> dict[str, Pair]:
