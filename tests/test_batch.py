@@ -102,6 +102,7 @@ def test_some_frames_may_have_masks_and_others_not():
     assert np.abs(masked - whole).max() > 0.1, "the mask leaves something out"
 
 
+@pytest.mark.slow
 def test_some_frames_may_have_paths_and_others_not():
     frames, noise = mixed_frames()[2:], random_noise(SHAPE)
     loop = assert_equals_loop(jaxblur.layered, frames, [noise] * 2, noise)

@@ -76,7 +76,7 @@ TWICE = Shutter.windows([(-1, -0.5), (0.5, 1)])
     ("exposure", "truth", "gain"),
     [
         slow(Shutter.triangle(), {"shutter_function": "triangle"}, 5),
-        (Shutter.box(0, 2), {"placement": "leading"}, 8),
+        slow(Shutter.box(0, 2), {"placement": "leading"}, 8),
         slow(Shutter.box(readout=2), {"readout": 0.5}, 7),
         slow(Shutter.box(readout=-2), {"readout": -0.5}, 7),
         slow(TWICE, {"shutter_function": TWICE.curve}, 1.5),
@@ -171,6 +171,7 @@ def test_a_rolling_shutter_stretches_what_moves_along_it(readout):
     np.testing.assert_allclose([rows[0] - 0.5, rows[-1] + 0.5], edges, atol=0.75)
 
 
+@pytest.mark.slow
 def test_speeds_beyond_the_radius_are_cut_over_the_longer_exposure():
     frame = block(speed=(8.0, 0.0))
     settings = jaxblur.Settings(samples=99, radius=10)
