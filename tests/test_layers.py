@@ -190,6 +190,7 @@ def empty_layer():
     return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "place"), [("native", 0), slow("xla", 1)])
 def test_an_empty_layer_changes_nothing(backend, place):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)

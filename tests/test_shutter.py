@@ -195,7 +195,8 @@ def pan(width=96, speed=7.0):
 INNER = np.s_[:, 16:-16]
 
 
-@pytest.mark.parametrize("backend", ["auto", pytest.param("xla", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["auto", "xla"])
 def test_the_derivative_in_the_curve_is_that_of_the_weighted_mean(backend):
     frame, at = pan()
     settings = jaxblur.Settings(samples=105, radius=40, fetch="bilinear", backend=backend)
