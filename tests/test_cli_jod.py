@@ -60,8 +60,8 @@ def test_errors_say_what_to_do(clip):
 
 def test_a_clip_with_a_gap_is_refused(clip, tmp_path):
     for number in (1, 2, 4):
-        exr.write_image(tmp_path / f"clip.{number}.exr", clip[1][0, 0])
-    line = refused("jod", tmp_path / "clip.#.exr", tmp_path / "clip.#.exr", "--fps", 24)
+        exr.write_image(tmp_path / f"clip.{number:04d}.exr", clip[1][0, 0])
+    line = refused("jod", tmp_path / "clip.####.exr", tmp_path / "clip.####.exr", "--fps", 24)
     assert "has frames 1, 2 and 4, which are not equally far apart" in line
 
 
