@@ -56,3 +56,16 @@ def test_errors_say_what_to_do(clip):
     assert "--display must be one of" in refused("jod", *one, "--display", "my_tv").replace("`", "")
     hdr = refused("jod", *one, "--display", "standard_hdr_linear", "--view", ACES)
     assert "--view ends at white" in hdr
+
+
+def test_a_clip_with_a_gap_is_refused(clip, tmp_path):
+    for number in (1, 2, 4):
+        exr.write_image(tmp_path / f"clip.{number:04d}.exr", clip[1][0, 0])
+    line = refused("jod", tmp_path / "clip.####.exr", tmp_path / "clip.####.exr", "--fps", 24)
+    assert "has frames 1, 2 and 4, which are not equally far apart" in line
+
+
+def test_a_conversion_of_both_is_said_once(clip):
+    folder, _ = clip
+    one = (folder / "test.0001.exr", folder / "reference.0001.exr")
+    assert run("jod", *one, "--view", ACES).err.count("colors: ") == 1

@@ -69,7 +69,9 @@ def test_errors_say_what_to_do(tmp_path):
     existing = touched(tmp_path, "a.zip") / "a.zip"
     assert "did you mean blender?" in refused("integrate", "blende", "-o", existing)
     assert "pass --overwrite" in refused("integrate", "blender", "-o", existing)
-    assert "is a .zip" in refused("integrate", "blender", "-o", tmp_path / "a.exr")
+    assert "is a .zip; end the name in .zip" in refused(
+        "integrate", "blender", "-o", tmp_path / "a.exr"
+    )
     assert existing.read_bytes() == b""
     assert run("integrate", "blender", "-o", existing, "--overwrite").status == 0
     assert zipfile.is_zipfile(existing)

@@ -86,7 +86,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the error instead of printing the usage and exiting."""
         end = " see" if message.endswith("?") else "; see"
-        raise CommandError(f"{message}{end} `{self.prog} --help`")
+        raise CommandError(f"{message.removesuffix('.')}{end} `{self.prog} --help`")
 
     def format_help(self) -> str:
         """Append ``more_help``, which may be slow to make."""

@@ -60,7 +60,7 @@ def _files(arguments: argparse.Namespace, output: pathlib.Path) -> dict[pathlib.
     if arguments.host == "blender":
         if output.suffix.lower() != ".zip":
             raise CommandError(
-                f"{output}: an extension of Blender is a .zip; change the extension."
+                f"{output}: the extension for Blender is a .zip; end the name in .zip."
             )
         own = arguments.executable or _own_executable()
         return {output: integrate.zipped(integrate.blender_files(own))}

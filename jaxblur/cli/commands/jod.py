@@ -72,7 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
             f"--view ends at white, and pixels of {arguments.display} are cd/m2; leave out --view, "
             "or choose a display such as standard_4k."
         )
-    clip, truth = (_light(files, arguments) for files in (tests, references))
+    words: set[str] = set()
+    clip, truth = (_light(files, arguments, words) for files in (tests, references))
+    for each in sorted(words):
+        LOG.info("colors: %s", each)
     if clip.shape != truth.shape:
         (rows, columns), (height, width) = clip.shape[1:3], truth.shape[1:3]
         raise CommandError(
@@ -109,17 +112,23 @@ def _files(arguments: argparse.Namespace) -> tuple[list[pathlib.Path], list[path
             f"{arguments.reference}: has no frame {missing[0]}, which {arguments.test} has; render "
             "it, or remove the other."
         )
+    for before, here, after in zip(frames, frames[1:], frames[2:], strict=False):
+        if here - before != after - here:
+            raise CommandError(
+                f"{arguments.test}: has frames {before}, {here} and {after}, which are not equally "
+                "far apart in time, as a clip is; render those between."
+            )
     tests, references = ([each.path(frame) for frame in frames] for each in names)
     return tests, references
 
 
-def _light(files: list[pathlib.Path], arguments: argparse.Namespace) -> Any:
-    """(F, H, W, 3) of files, as the screen shows them."""
+def _light(files: list[pathlib.Path], arguments: argparse.Namespace, words: set[str]) -> Any:
+    """(F, H, W, 3) of files, as the screen shows them; how they were converted joins `words`."""
     import numpy as np
 
     from jaxblur import exr, metrics
 
-    images, words = [], set()
+    images = []
     for path in files:
         info = exr.inspect(path)
         channel = exr.choose_color(info, arguments.layer).channels[0]
@@ -132,6 +141,4 @@ def _light(files: list[pathlib.Path], arguments: argparse.Namespace) -> Any:
                 f"{path}: has {columns}x{rows} pixels, but {files[0]} has {width}x{height}; give "
                 "frames of one size."
             )
-    for each in sorted(words):
-        LOG.info("colors: %s", each)
     return np.stack(images)
