@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-from jaxblur.posts.lens import PRESETS, Lens
+from jaxblur.lens import PRESETS, Lens
 
 from .arguments import CommandError, did_you_mean, positive_integer, positive_number
 
