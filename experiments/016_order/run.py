@@ -1,4 +1,4 @@
-"""Blur then defocus, or defocus then blur, against the truth over time and lens at once.
+"""Blur then defocus, defocus then blur, or both at once, against the truth over time and lens.
 
     python -m experiments.016_order.run -o OUT [--quick]
 
@@ -26,6 +26,8 @@ SAMPLES = 128
 DISC = 7.0
 """Radius in pixels of the largest discs (of 2 % of the pixels)."""
 FILTERS = ("layered", "guertin2014")
+AT_ONCE = (35, 105)
+"""Samples of one pass for both."""
 
 
 class Case(NamedTuple):
@@ -53,12 +55,22 @@ def lens_of(case: Case, scene: scenes.Scene, depth: np.ndarray) -> posts.Lens:
     return posts.Lens.of_aperture(DISC / float(np.quantile(spread, 0.98)), focus, focal)
 
 
-def blur(frame: jaxblur.Frame, name: str, color: Any) -> Any:
+def blur(frame: jaxblur.Frame, name: str, color: Any, samples: int = 35, **more: Any) -> Any:
     """Blur some color by the motion of a frame."""
     info = filter_info(name)
     call: Any = info.call
-    settings = info.kind(samples=35, radius=40)
-    return call(frame.replace(color=color), info.make_parameters(), settings=settings)
+    settings = info.kind(samples=samples, radius=40)
+    return call(frame.replace(color=color), info.make_parameters(), settings=settings, **more)
+
+
+def at_once(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, Any]:
+    """Motion and defocus in one pass, where the filter takes a lens."""
+    if not filter_info(name).takes_lens:
+        return {}
+    return {
+        f"both at once, {samples} samples": blur(frame, name, frame.color, samples, lens=lens)
+        for samples in AT_ONCE
+    }
 
 
 def images_of(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, Any]:
@@ -74,6 +86,7 @@ def images_of(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, An
         "defocus alone": defocused,
         "blur, then defocus": defocus(blurred),
         "defocus, then blur": blur(frame, name, defocused),
+        **at_once(frame, lens, name),
     }
 
 
@@ -83,6 +96,10 @@ def milliseconds(frame: jaxblur.Frame, lens: posts.Lens) -> list[tuple[str, str]
         name: functools.partial(blur, frame, name, frame.color) for name in FILTERS
     }
     parts["defocus, 64 samples"] = functools.partial(posts.defocus, frame, lens)
+    for samples in AT_ONCE:
+        parts[f"layered, both at once, {samples} samples"] = functools.partial(
+            blur, frame, FILTERS[0], frame.color, samples, lens=lens
+        )
     spent: dict[str, list[float]] = {name: [] for name in parts}
     for _ in range(6):
         for name, run in parts.items():
@@ -112,7 +129,7 @@ def main() -> None:
                 rows.append((case.scene, name, order, *(float(value) for value in score)))
                 print(*rows[-1], flush=True)
             if case == CASES[0] and name == FILTERS[0]:
-                orders = ("blur, then defocus", "defocus, then blur")
+                orders = ("blur, then defocus", "defocus, then blur", "both at once, 35 samples")
                 sheet = [
                     [truth, *(made[order] for order in orders)],
                     [frame.color, *(error_image(made[order], truth) for order in orders)],

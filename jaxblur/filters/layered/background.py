@@ -149,7 +149,7 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         missing = jnp.where(owner.exists, 0, jnp.ones_like(own.x))
         return Sums(tuple(share * channel for channel in color), share, missing)
 
-    sums = sum_over(plan.maps.count, at_time)
+    sums = sum_over(plan.maps.total, at_time)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
     (state,) = images.states.here()

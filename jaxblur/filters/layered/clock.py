@@ -89,24 +89,24 @@ class Maps(NamedTuple):
     """How many maps of owners there are, and when; fixed when a program is traced.
 
     Attributes:
-        count: T of them.
+        total: T of them.
         parts: of the exposure, m. Without a lens the maps are at their ends, ``m = T - 1``: a slice
             takes those before and after it. With one each map is in the middle of a part, ``m =
             T``, and stands for it.
     """
 
-    count: int
+    total: int
     parts: int
 
     @property
     def through_lens(self) -> bool:
         """Whether each map stands for a part."""
-        return self.count == self.parts
+        return self.total == self.parts
 
 
 def time_of(index: Array, maps: Maps, like: Array) -> Array:
     """The time of a map of owners, ``(2 k - (T - 1)) / m``; symmetric about 0 to the bit."""
-    return (2 * index - (maps.count - 1)).astype(like.dtype) * (1 / maps.parts)
+    return (2 * index - (maps.total - 1)).astype(like.dtype) * (1 / maps.parts)
 
 
 def time_of_owners(
@@ -200,9 +200,7 @@ def time_when_drawn(
     return jnp.clip(time, -1, 1)
 
 
-def clock_of(
-    shutter: Shutter, maps: Maps, height: int, dtype: DTypeLike
-) -> tuple[Clock, Array]:
+def clock_of(shutter: Shutter, maps: Maps, height: int, dtype: DTypeLike) -> tuple[Clock, Array]:
     """The times of a shutter.
 
     Args:
@@ -228,7 +226,7 @@ def clock_of(
     lengths = jnp.where(lit, jnp.minimum(edges[1:] - edges[:-1], widest), edges[1:] - edges[:-1])
     weights = jnp.where(lit, transmission / jnp.where(lit, held, 1), 1)
     cells = jnp.stack([middles - lengths / 2, lengths, weights], axis=-1)
-    shares = (jnp.arange(maps.count, dtype=dtype) + (maps.parts + 1 - maps.count) / 2) / maps.parts
+    shares = (jnp.arange(maps.total, dtype=dtype) + (maps.parts + 1 - maps.total) / 2) / maps.parts
     owners = _times_of(lax.stop_gradient(curve), shares)
 
     length = close - open

@@ -284,7 +284,7 @@ def layered(
             noise and backend. ``bilinear`` mixes the two texels next to a guess, along the axis
             that its path follows more. ``blend`` mixes what a slice adds for the four texels next
             to a guess, one guess at a time, the others at their nearest texel.
-        noise: replaces the built-in noise; only ``tap`` is used.
+        noise: replaces the built-in noise; only ``tap`` is used without a lens.
         before: the frame before, sharp, of the same size and channels, with the motion of an
             exposure as long as that of ``frame``. It shows some of what ``frame`` hides.
         after: likewise the frame after.
@@ -294,6 +294,11 @@ def layered(
             of the frame's velocity; None for a box from -1 to 1. The radius limits the displacement
             up to the longest time from 0 at which light comes in: a frame that is exposed from 0
             to 2 needs twice the radius.
+        lens: blurs what it has out of focus too: each sample sees the frame at a time and from a
+            point of the lens. Every sample then counts for itself, not three to a slice. Where no
+            disc of the frame is above half a pixel the result is that without a lens, bit for bit.
+            None for a pinhole. The radius limits the sum of motion and disc; both fields of
+            ``noise`` are used.
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
@@ -304,7 +309,7 @@ def layered(
     Raises:
         ValueError: shapes or dtypes disagree, there are fewer than three samples, the radius is
             above 4095, a parameter is not a scalar, the shutter is not above 0, the settings are
-            those of another filter, or the exposure is none.
+            those of another filter, or the exposure or the lens is none.
     """
     if exposure is not None:
         check_shutter_record(exposure)

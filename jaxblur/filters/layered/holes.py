@@ -18,13 +18,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...kernels import At, Image, Outcome, each_pixel, sum_over
+from ..parameters import LayeredParameters
 from .aperture import Aperture
 from .background import Found, Plan, Sums, mixed, of_neighbor
 from .clock import Span, Times, time_of_owners
 from .neighbors import Neighbor
-from .owners import MISSES, point_of, read_owner
+from .owners import MISSES, point_of
 from .paths import Path
-from ..parameters import LayeredParameters
 
 DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
 """Pixels to each side at which an owner is looked for."""
@@ -74,14 +74,12 @@ class Side(NamedTuple):
     """The first owner on one side of a pixel.
 
     Attributes:
-        exists: whether there is one.
+        mark: that it left, see `.owners.Coding`; 0 where there is none.
         distance: to it, pixels.
-        texel: its row-major number.
     """
 
-    exists: Array
+    mark: Array
     distance: Array
-    texel: Array
 
 
 def hole_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
@@ -90,17 +88,19 @@ def hole_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome
     size = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
 
     def in_map(k: Int[Array, ""]) -> Sums:
-        owner = read_owner(at, images.owners, k, own, plan.coding, size)
-        found, way = _beside(at, images, inputs, plan, k, size)
+        (mark,) = images.owners.read(k * size[0] + at.row, at.column)
+        found, texel = _beside(at, images, inputs, plan, k, size)
         color, known = found.color, found.known
         if images.neighbors:
             time = time_of_owners(k, plan.maps, own.x, at.row, images.clock, inputs.span)
-            color, known = mixed(found, _borrowed(at, images, inputs, k, time, (own, way), found))
-        missing = jnp.where(owner.exists, 0, jnp.ones_like(own.x))
+            beside = Path(*images.paths.read_texel(texel))
+            borrowed = _borrowed(at, images, inputs, k, time, (own, beside), found)
+            color, known = mixed(found, borrowed)
+        missing = (mark == 0).astype(own.x.dtype)
         share = missing * known
         return Sums(tuple(share * channel for channel in color), share, missing)
 
-    sums = sum_over(plan.maps.count, in_map)
+    sums = sum_over(plan.maps.total, in_map)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
     (state,) = images.states.here()
@@ -109,58 +109,54 @@ def hole_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome
 
 def _beside(
     at: At, images: Images, inputs: Inputs, plan: Plan, k: Array, size: tuple[Array, Array]
-) -> tuple[Found, Path]:
-    """The mean color of the deepest owners beside a pixel in a map, and the path of one of them."""
-    sides = [_first_owner(at, images, plan, k, size, side) for side in _SIDES]
-    paths = [Path(*images.paths.read_texel(side.texel)) for side in sides]
-    depths = [
-        jnp.where(side.exists, path.log_depth, -jnp.inf)
-        for side, path in zip(sides, paths, strict=True)
-    ]
+) -> tuple[Found, Array]:
+    """The mean color of the deepest owners beside a pixel in a map, and the texel of one."""
+    width = size[1]
+    sides = [_first_owner(at, images.owners, k, size, side) for side in _SIDES]
+    texels, depths = [], []
+    for (down, right), side in zip(_SIDES, sides, strict=True):
+        moved_right, moved_down = plan.coding.offset_of(side.mark)
+        exists, distance = side.mark != 0, side.distance
+        row, column = at.row + down * distance - moved_down, at.column + right * distance
+        texel = jnp.where(exists, row * width + column - moved_right, at.row * width + at.column)
+        texels.append(texel)
+        depth = images.paths.read_texel(texel, 3)[2]
+        depths.append(jnp.where(exists, depth, -jnp.inf))
     deepest = functools.reduce(jnp.maximum, depths)
     weights = []
     for side, depth in zip(sides, depths, strict=True):
-        nearer = jnp.where(side.exists, deepest - depth, 0)
+        nearer = jnp.where(side.mark != 0, deepest - depth, 0)
         alike = jnp.clip(2 - nearer * inputs.parameters.surface_sharpness, 0, 1)
-        weights.append(jnp.where(side.exists, alike / jnp.square(side.distance), 0))
+        weights.append(
+            jnp.where(side.mark != 0, alike / jnp.square(side.distance.astype(alike.dtype)), 0)
+        )
     total = functools.reduce(jnp.add, weights)
     inverse = 1 / jnp.where(total > 0, total, 1)
-    colors = [images.color.read_texel(side.texel) for side in sides]
+    colors = [images.color.read_texel(texel) for texel in texels]
     color = tuple(
         inverse * sum(weight * value for weight, value in zip(weights, channel, strict=True))
         for channel in zip(*colors, strict=True)
     )
-    way = paths[0]
-    for path, depth in zip(paths, depths, strict=True):
-        way = Path(*(jnp.where(depth == deepest, *pair) for pair in zip(path, way, strict=True)))
+    texel = texels[0]
+    for other, depth in zip(texels, depths, strict=True):
+        texel = jnp.where(depth == deepest, other, texel)
     known = (total > 0).astype(total.dtype)
-    return Found(color, known, jnp.full_like(total, jnp.inf)), way
+    return Found(color, known, jnp.full_like(total, jnp.inf)), texel
 
 
 def _first_owner(
-    at: At,
-    images: Images,
-    plan: Plan,
-    k: Array,
-    size: tuple[Array, Array],
-    side: tuple[int, int],
+    at: At, owners: Image, k: Array, size: tuple[Array, Array], side: tuple[int, int]
 ) -> Side:
     """The nearest owner in a map on one side of a pixel."""
     height, width = size
-    found = None
+    found = Side(jnp.zeros_like(at.row), jnp.ones_like(at.row))
     for distance in DISTANCES:
         row, column = at.row + distance * side[0], at.column + distance * side[1]
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        own = Path(*images.paths.read(row, column))
-        owner = read_owner(At(row, column), images.owners, k, own, plan.coding, size)
-        there = Side(owner.exists & inside, jnp.full_like(own.x, distance), owner.texel)
-        if found is None:
-            found = there
-        else:
-            takes = there.exists & ~found.exists
-            found = Side(*(jnp.where(takes, *pair) for pair in zip(there, found, strict=True)))
-    assert found is not None
+        (mark,) = owners.read(k * height + row, column)
+        takes = inside & (mark != 0) & (found.mark == 0)
+        found = Side(jnp.where(takes, mark, found.mark), jnp.where(takes, distance, found.distance))
     return found
 
 

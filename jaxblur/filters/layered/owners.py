@@ -3,8 +3,9 @@
 Every pixel that moves is drawn where its path has it at each of these times, and the nearest one
 stays: a scatter-max. A mark holds how near the pixel is and where it comes from, so that it is a
 pixel's *owner* that is found. Pixels at rest are not drawn: they own their place unless a mark is
-nearer. Nothing is drawn farther from its own place than the radius. So a part of a frame gives the
-same result as the whole frame, if it has so many pixels more at its border.
+nearer. (With a lens they are drawn like the others.) Nothing is drawn farther from its own place
+than the radius. So a part of a frame gives the same result as the whole frame, if it has so many
+pixels more at its border.
 """
 
 import functools
@@ -135,6 +136,8 @@ def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Ou
     disc = None if images.disc is None else images.disc.here()[0]
     path = Path(x, y, level, bend_x, bend_y, disc)
     height, width = images.x.height, images.x.width
+    # Through a lens pixels at rest are drawn too, so that a map tells its holes by itself.
+    draws = moves(path) | drawing.maps.through_lens
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
         point = point_of(images.points, k)
@@ -146,12 +149,10 @@ def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Ou
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         place = (k * height + jnp.where(inside, row, 0)) * width + jnp.where(inside, column, 0)
-        return (
-            (place, jnp.where(inside & moves(path), drawing.coding.mark(level, right, down), 0)),
-        )
+        return ((place, jnp.where(inside & draws, drawing.coding.mark(level, right, down), 0)),)
 
-    count = jnp.where(moves(path), drawing.maps.count, 0).astype(path.x.dtype)
-    return Outcome(mark_over(count, mark), where=moves(path))
+    count = jnp.where(draws, drawing.maps.total, 0).astype(path.x.dtype)
+    return Outcome(mark_over(count, mark), where=draws)
 
 
 def moves(path: Path) -> Array:
@@ -194,7 +195,7 @@ def owners_of(
         ValueError: the frame is too large.
     """
     height, width = paths.shape[:2]
-    length = maps.count * height * width
+    length = maps.total * height * width
     if length >= 2**31:
         raise ValueError(
             f"layered needs {length} marks for a frame of {width}x{height}, more than 2^31; use "
@@ -210,10 +211,10 @@ def owners_of(
     images = Drawn(x, y, bend_x, bend_y, level, times, disc, points)
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, span, drawing),
-        apart=maps.count,
+        apart=maps.total,
         backend=settings.backend,
     )
-    return marks.reshape(maps.count * height, width)
+    return marks.reshape(maps.total * height, width)
 
 
 class MapsRead(NamedTuple):
@@ -228,11 +229,11 @@ class MapsRead(NamedTuple):
     paths: Image
 
 
-def state_of_pixel(at: At, images: MapsRead, _: None, maps: Maps) -> Outcome:
+def state_of_pixel(at: At, images: MapsRead, _: None, drawing: Drawing) -> Outcome:
     """What there is to do at a pixel, see `states_of`."""
     marks = [
         images.owners.read(k * images.paths.height + at.row, at.column)[0]
-        for k in range(maps.count)
+        for k in range(drawing.maps.total)
     ]
     own = Path(*images.paths.here())
     largest = functools.reduce(jnp.maximum, marks)
@@ -240,9 +241,14 @@ def state_of_pixel(at: At, images: MapsRead, _: None, maps: Maps) -> Outcome:
     # the ends of the exposure.
     pairs = [marks[0], marks[-1], *(jnp.maximum(*pair) for pair in itertools.pairwise(marks))]
     # Through a lens each map stands for itself.
-    needed = marks if maps.through_lens else pairs
+    needed = marks if drawing.maps.through_lens else pairs
     misses = moves(own) & (functools.reduce(jnp.minimum, needed) == 0)
-    state = jnp.where(misses, MISSES, jnp.where(moves(own) | (largest > 0), MOVES, RESTS))
+    crossed = largest > 0
+    if drawing.maps.through_lens:
+        zero = jnp.int32(0)
+        own_mark = drawing.coding.mark(drawing.coding.level(own.log_depth), zero, zero)
+        crossed = functools.reduce(jnp.logical_or, [mark != own_mark for mark in marks])
+    state = jnp.where(misses, MISSES, jnp.where(moves(own) | crossed, MOVES, RESTS))
     return Outcome((state.astype(own.x.dtype),))
 
 
@@ -255,17 +261,17 @@ def states_of(
         owners: what `owners_of` gives.
         paths: as `owners_of`.
         maps: as `owners_of`.
-        settings: backend is used.
+        settings: radius and backend are used.
 
     Returns:
         `MISSES` where the pixel moves and has no owner at two times that follow each other, or at
-        the first or the last, and with a lens where it has none in any map; else `MOVES` where it moves or something moves across it; else
-        `RESTS`. Without derivatives.
+        the first or the last; with a lens where it has none in one of the maps. Else `MOVES` where
+        it moves or something moves across it, else `RESTS`. Without derivatives.
     """
     images = MapsRead(owners, Image(lax.stop_gradient(paths.values)))
     height, width = paths.values.shape[:2]
     return each_pixel(
-        *(state_of_pixel, (height, width), images, None, maps),
+        *(state_of_pixel, (height, width), images, None, Drawing(maps, Coding.of(settings.radius))),
         backend=settings.backend,
     )
 

@@ -124,7 +124,7 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     """Pass L5: the mean over the slices of time."""
     limit = None
     if plan.settings.spacing:
-        limit = slices_along(longest_motion(at, images, plan), plan)
+        limit = slices_along(longest_motion(at, images.paths, images.owners, plan), plan)
     slice_at = slices_at(at, images, inputs, plan, limit)
 
     def slice_of_time(i: Int[Array, ""]) -> Sums:
@@ -148,14 +148,14 @@ def mean_of(sums: Sums, sharp: Sequence[Array]) -> tuple[Array, ...]:
     )
 
 
-def longest_motion(at: At, images: Images, plan: Plan) -> Array:
+def longest_motion(at: At, paths: Image, owners: Image, plan: Plan) -> Array:
     """The squared speed of the fastest of what a pixel shows and the pixel itself."""
-    own = Path(*images.paths.here())
-    size = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
+    own = Path(*paths.here())
+    size = jnp.asarray(paths.height), jnp.asarray(paths.width)
     longest = squared_reach(own)
-    for k in range(plan.maps.count):
-        owner = read_owner(at, images.owners, jnp.int32(k), own, plan.coding, size)
-        path = Path(*images.paths.read_texel(owner.texel))
+    for k in range(plan.maps.total):
+        owner = read_owner(at, owners, jnp.int32(k), own, plan.coding, size)
+        path = Path(*paths.read_texel(owner.texel))
         longest = jnp.maximum(longest, squared_reach(path))
     return longest
 

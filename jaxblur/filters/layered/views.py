@@ -6,19 +6,18 @@ of the lens near those. Where that is another surface the owner itself is taken:
 its own time. Where the map has no owner, `.holes` stands for it.
 """
 
-import jax.numpy as jnp
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from ...kernels import At, Image, Outcome, sum_over
 from .._sampling import find_texel, read_color
-from .aperture import on_disc, place_in_cell, samples_of_map
+from .aperture import on_disc, place_in_cell
 from .clock import Times, time_of_light, time_of_owners
 from .owners import RESTS, moving_owner, point_of
 from .paths import Path
 from .slices import Inputs, Plan, Sums, landing, longest_motion, mean_of, slices_along
-import os
 
 
 class Images(NamedTuple):
@@ -50,7 +49,11 @@ class Images(NamedTuple):
 def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     """Pass L5: the mean over the samples; `slices` of the plan is their number."""
     settings, parameters = plan.settings, inputs.parameters
-    limit = slices_along(longest_motion(at, images, plan), plan) if settings.spacing else None
+    limit = (
+        slices_along(longest_motion(at, images.paths, images.owners, plan), plan)
+        if settings.spacing
+        else None
+    )
     count = plan.slices if limit is None else limit
     tap, *turn = images.noise.here()
     inverse_tolerance = 1 / jnp.square(parameters.landing_tolerance)
@@ -59,9 +62,9 @@ def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     def sample(i: Int[Array, ""]) -> Sums:
         number = (2 * i + 1).astype(tap.dtype)
         light = (number - count + tap * parameters.jitter) / count
-        index = (number * (plan.maps.count / 2) / count).astype(jnp.int32)
+        index = (number * (plan.maps.total / 2) / count).astype(jnp.int32)
         # Beyond its own number of samples a pixel is evaluated too, beside others with more.
-        index = jnp.minimum(index, plan.maps.count - 1)
+        index = jnp.minimum(index, plan.maps.total - 1)
         time, weight = time_of_light(light, at.row, images.clock, inputs.span)
         own_time = time_of_owners(index, plan.maps, tap, at.row, images.clock, inputs.span)
         own_point = point_of(images.points, index)
@@ -74,6 +77,7 @@ def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
             place_in_cell((across, down), (turn[0], turn[1]), i, plan.maps, parameters.jitter)
         )
         squared = own_time * own_time
+        assert way.disc is not None
         offset_x = -time * way.x - squared * way.bend_x - way.disc * point[0]
         offset_y = -time * way.y - squared * way.bend_y - way.disc * point[1]
         texel = find_texel(at, offset_x, offset_y, images.color, settings)
@@ -89,8 +93,7 @@ def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
             jnp.where(owner.exists, b + lands * (a - b), c)
             for a, b, c in zip(found, itself, behind, strict=True)
         ]
-        known_here = jnp.where(owner.exists, 1, known)
-        values = (*color, known_here)
+        values = (*color, jnp.where(owner.exists, 1, known))
         if weight is not None:
             values = tuple(weight * value for value in values)
         if limit is not None:
