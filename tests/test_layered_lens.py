@@ -15,7 +15,7 @@ from tests.reference import layered_lens_loops
 SIZE = (24, 30)
 FOCUS = 4.0
 # Discs of 2.5 px at infinity.
-LENS = Lens(FOCUS, 2.0, 50.0, 36.0 * SIZE[1] / 30, unit=0.0425)
+LENS = Lens(FOCUS, 2.0, 50.0, 36.0, unit=0.0646)
 PARAMETERS = LayeredParameters()
 SETTINGS = Settings(samples=12, radius=12, fetch="bilinear", backend="native")
 

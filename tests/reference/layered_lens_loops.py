@@ -133,7 +133,7 @@ def layered_through_lens(color, depth, velocity, parameters, settings, noise, le
             x, y = -t * way[:2] - own_t**2 * way[2:] - discs[owner] * point
             where, counts = at_texel(*at, x, y, depth.shape, settings["border"])
             there = t * paths[where][:2] + t * t * way[2:] + discs[where] * point
-            miss, apart = there + (x, y), paths[where][:2] - way[:2]
+            miss, apart = there + np.array([x, y]), paths[where][:2] - way[:2]
             speed = parameters["own_tolerance"] ** 2 * (way[:2] @ way[:2] + 0.25)
             differs = max((apart @ apart) / speed, sharpness * abs(z[where] - z[owner]))
             misses = (miss @ miss) / parameters["landing_tolerance"] ** 2
