@@ -139,8 +139,10 @@ def main() -> None:
     mean = []
     for name in FILTERS:
         for order in dict.fromkeys(row[2] for row in rows):
-            found = np.mean([row[3:] for row in rows if row[1:3] == (name, order)], axis=0)
-            mean.append((name, order, *(f"{value:.4f}" for value in found)))
+            found = [row[3:] for row in rows if row[1:3] == (name, order)]
+            if found:
+                means = np.mean(found, axis=0)
+                mean.append((name, order, *(f"{value:.4f}" for value in means)))
     each = [(*row[:3], *(f"{value:.4f}" for value in row[3:])) for row in rows]
     write_table(arguments.output, "order", ("filter", "order", *columns), mean)
     write_table(arguments.output, "scenes", ("scene", "filter", "order", *columns), each)
