@@ -9,13 +9,16 @@ Effect of "ignore":
 - depth: NaN and minus infinity count as sky; ``+inf`` is sky anyway.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
     from .frame import Frame
 
 Nonfinite = Literal["error", "ignore"]
@@ -48,7 +51,7 @@ class Ignored:
 NONE_IGNORED = Ignored()
 
 
-def finite_frame(frame: "Frame", nonfinite: Nonfinite = "error") -> tuple["Frame", Ignored]:
+def finite_frame(frame: Frame, nonfinite: Nonfinite = "error") -> tuple[Frame, Ignored]:
     """Raise an error for NaN and infinity in the buffers of a frame, or leave those pixels out.
 
     `read_frame` does the same for files; filters reject only NaN in depth and motion. This function
@@ -125,7 +128,7 @@ def not_finite(
     return np.asarray(np.any(~np.isfinite(values), axis=components))
 
 
-def _cleaned(frame: "Frame", unknown: Any, still: Any, no_depth: Any) -> "Frame":
+def _cleaned(frame: Frame, unknown: Any, still: Any, no_depth: Any) -> Frame:
     changes: dict[str, Any] = {}
     if unknown.any():
         changes["color"] = np.where(unknown[..., None], 0, np.asarray(frame.color))

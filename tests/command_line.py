@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from jaxblur.cli import main
 
-COMPUTING = ("blur", "demo", "export", "fit", "layers", "play", "post", "scene")
+COMPUTING = ("blur", "demo", "doctor", "export", "fit", "jod", "layers", "play", "post", "scene")
 
 
 class Outcome(NamedTuple):

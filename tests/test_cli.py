@@ -243,11 +243,12 @@ def test_an_interruption_that_is_lost_in_a_callback_comes_again(sent, monkeypatc
         signal.signal(signal.SIGINT, usual)
 
 
-def test_a_closed_pipe_ends_quietly():
+@pytest.mark.parametrize("files", [[CAR], [CAR, CAR]])
+def test_a_closed_pipe_ends_quietly(files):
     read, write = os.pipe()
     os.close(read)
     process = subprocess.run(
-        [sys.executable, "-m", "jaxblur", "info", CAR],
+        [sys.executable, "-m", "jaxblur", "info", *files],
         stdout=write,
         stderr=subprocess.PIPE,
         timeout=60,

@@ -378,6 +378,13 @@ def test_the_truth_may_be_a_png(tmp_path):
     assert abs(float(outcome.out.splitlines()[2].split()[1]) - 22.15) < 0.05
 
 
+def test_a_truth_of_a_frame_that_has_no_scores_is_refused_before_the_blur(tmp_path):
+    frame = write_single(tmp_path / "input.exr", plain_frame((10, 40)))
+    truth = write_single(tmp_path / "truth.exr", plain_frame((10, 40)))
+    message = refused("blur", frame, "-o", tmp_path / "out.exr", "--truth", truth)
+    assert "has 40x10 pixels, but scores need 11x11 or more" in message
+
+
 @pytest.mark.parametrize("role", ["input", "depth"])
 @pytest.mark.parametrize("output", ["out.exr", "out.png"])
 def test_an_input_that_changes_meanwhile_is_an_error(tmp_path, monkeypatch, role, output):

@@ -187,8 +187,12 @@ def test_a_world_without_a_common_motion_is_refused(tmp_path):
         ({"axes": "z-up"}, "axes: must be y-up or y-down"),
         ({"frames": {}}, "add frame 11"),
         ({"frames": {"x": {}}}, "must be a whole number"),
+        ({"frames": {5000 * "1": {}}}, "must be a whole number"),
         ({"frames": {"11": {}}}, "needs either camera_to_world or world_to_camera"),
-        ({"field_of_view": 400}, "field_of_view must be above 0 and below 180"),
+        ({"field_of_view": 400}, "field_of_view must be above 0.001 and below 180"),
+        ({"field_of_view": 1e-300}, "field_of_view must be above 0.001 and below 180"),
+        ({"field_of_view": 10**400}, "field_of_view must be finite numbers of shape ()"),
+        ({"frames": {"11": {"camera_to_world": [[1e300] * 4] * 4}}}, "below 1e+15"),
         ({"fov": 40}, "unknown 'fov'"),
         ({"frames": {"11": {"camera_to_world": [1, 2]}}}, "finite numbers of shape (4, 4)"),
         (
@@ -202,6 +206,15 @@ def test_wrong_camera_files(tmp_path, changes, words):
     cameras = camera_json(tmp_path / "cam.json", **changes)
     options = ("--objects-only", "--camera", cameras)
     assert words in refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
+
+
+def test_a_camera_file_that_is_nested_too_deep(tmp_path):
+    path, _ = shot(tmp_path / "a.0011.exr")
+    cameras = tmp_path / "cam.json"
+    cameras.write_text(3000 * "[")
+    options = ("--objects-only", "--camera", cameras)
+    error = refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
+    assert "cam.json: cannot be read as JSON" in error
 
 
 def test_a_sequence_depends_on_its_file_of_cameras(tmp_path):

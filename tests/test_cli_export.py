@@ -78,6 +78,7 @@ def test_the_page_and_the_plan_name_everything(exported):
         assert f"`{buffer['name']}`" in page
     for each in plan["passes"]:
         assert f"`{each['name']}`" in page
+        assert each["does"].endswith(".") and "`" * 2 not in each["does"], each
     assert plan["hash"] in page and re.fullmatch(r"[0-9a-f]{64}", plan["hash"])
     assert "radius=9" in page
 

@@ -178,6 +178,8 @@ def test_what_cannot_be_meant_is_refused(tmp_path, options, words):
         ("0,1\n2\n", "line 2: expected a finite number"),
         ("0,1,2\n", "line 1: expected a finite number"),
         ("0\nnan\n", "line 2: expected a finite number"),
+        ("0\n1e308\n1e308\n", "line 2: expected a finite number"),
+        ("-1e308 0\n1e308 1\n", "line 1: expected a finite number"),
         ("0,1\n0,2\n", "times must increase"),
         ("1\n" * 10001, "got 10001"),
     ],

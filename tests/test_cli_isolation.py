@@ -6,6 +6,7 @@ import pytest
 
 from jaxblur import exr
 from jaxblur.cli import isolation
+from jaxblur.cli.errors import message_of
 from tests.command_line import refused, run, spawn
 from tests.exr_files import CAR, plain_frame, read_raw, write_single
 
@@ -77,6 +78,12 @@ def test_limits_end_the_command_with_a_clear_error(bomb):
     result = spawn("info", bomb, "--memory", 400)
     assert result.returncode == 2
     assert result.stderr.count("\n") == 1 and f"error: {bomb}: " in result.stderr
+
+
+def test_memory_that_the_decoder_lacks_is_called_that():
+    """What OpenImageIO says at the limit is the name of a C++ exception."""
+    error = exr.JaxblurIOError("a.exr", "part 0: cannot be read: std::bad_alloc")
+    assert "out of memory; with --isolate, a larger --memory" in message_of(error)
 
 
 def test_a_crash_names_the_file(tmp_path):

@@ -197,6 +197,22 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
     np.testing.assert_allclose(exr.read_channels(out, list("RGBA")), expected, atol=1e-6)
 
 
+def test_layers_given_back_to_front_are_told(files):
+    """By depth where both cover a pixel; what is out of order in a small part is left alone."""
+    opaque = back_at(0) | {"A": np.ones(SIZE, np.float32)}
+    write_single(files / "wall.exr", opaque)
+    options = ("-o", files / "out.exr", "--overwrite", "--samples", "3", "--radius", "8")
+    right = run("layers", files / "hero.exr", files / "wall.exr", *options)
+    assert right.status == 0 and "is farther away" not in right.err
+    wrong = run("layers", files / "wall.exr", files / "hero.exr", *options)
+    assert wrong.status == 0
+    words = "wall.exr is given in front of hero.exr, but is farther away in 100 % of the pixels"
+    assert words in wrong.err
+    depth = np.where(np.arange(SIZE[1]) < 0.1 * SIZE[1], np.float32(1), opaque["Z"])
+    write_single(files / "wall.exr", opaque | {"Z": np.broadcast_to(depth, SIZE)})
+    assert "farther" not in run("layers", files / "hero.exr", files / "wall.exr", *options).err
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

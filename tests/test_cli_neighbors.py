@@ -320,7 +320,7 @@ def test_the_derivative_reaches_every_subframe(shot):
     def loss(frames):
         return (jaxblur.blur_subframes("layered", frames, settings=SETTINGS) ** 2).mean()
 
-    gradients = jax.grad(loss)(frames)
+    gradients = jax.jit(jax.grad(loss))(frames)
     for gradient in gradients:
         assert np.isfinite(gradient.velocity).all() and np.abs(gradient.velocity).max() > 0
         assert np.abs(gradient.color).max() > 0

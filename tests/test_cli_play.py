@@ -22,6 +22,8 @@ def test_errors_say_what_to_do(tmp_path):
     assert "no folder" in refused("play", FRAME, "-o", tmp_path / "new" / "page.html")
     line = refused("play", FRAME, "-o", tmp_path / "page.html", "--max-megabytes", 0.1)
     assert "more than --max-megabytes 0.1" in line
+    line = refused("play", "frame.####.exr", "-o", tmp_path / "page.html")
+    assert "frame.####.exr: a page has one frame; give the file of one" in line
     assert list(tmp_path.iterdir()) == []
 
 

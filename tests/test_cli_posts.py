@@ -166,6 +166,9 @@ def test_reblur_follows_the_motion(tmp_path):
         (("--do", "fxaa", "--f-number", "2"), "--f-number: only --do defocus takes it"),
         (("--do", "defocus", "--focus", "0.01"), "beyond the focal length of 35 mm"),
         (("--do", "mlaa", "--frames", "1"), "beauty.exr"),
+        (("--do", "fxaa", "--depth", "1/z"), "--depth: --do fxaa looks at no depth; only defocus"),
+        (("--do", "fxaa", "--depth-from", "z.exr"), "--depth-from: --do fxaa looks at no depth"),
+        (("--do", "mlaa", "--depth-channel", "Z"), "--depth-channel: --do mlaa looks at no depth"),
     ],
 )
 def test_refusals(source, tmp_path, options, message):

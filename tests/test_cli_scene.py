@@ -24,9 +24,15 @@ def folder(tmp_path_factory):
     assert outcome.out.split() == [str(folder / f"uniform_pan.000{k}.exr") for k in (1, 3)]
     first, *lines = outcome.err.splitlines()
     assert first == "jaxblur: uniform_pan at 128x72; the first frame compiles the scene"
-    assert [line.split()[:4] for line in lines] == [
-        ["jaxblur:", "frame", str(k), "ok"] for k in (1, 3)
-    ]
+    assert lines[0] == "jaxblur: rendering"
+    # A stage that takes long says so in between.
+    stages = [line for line in lines[1:] if not line.startswith("jaxblur: rendering:")]
+    for k in (1, 3):
+        truth, sharp, done, *stages = stages
+        assert truth == f"jaxblur: frame {k}: truth, the mean of 16 images"
+        assert sharp == f"jaxblur: frame {k}: sharp"
+        assert done.startswith(f"jaxblur: frame {k} ok ")
+    assert stages == []
     return folder
 
 
@@ -74,7 +80,17 @@ def test_scene_keeps_existing_files(folder):
 def test_unknown_scenes_are_refused_with_a_suggestion(tmp_path):
     message = refused("scene", "gaers", "-o", tmp_path / "out")
     assert "did you mean gears" in message and "uniform_pan" in message
+    assert "did you mean smoke" in refused("scene", "smok", "-o", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_ends_before_a_frame_is_rendered_leaves_no_folder(tmp_path, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scenes, "render", stop)
+    outcome = run("scene", "gears", "-o", tmp_path / "a" / "b", *SMALL)
+    assert outcome.status == 130 and list(tmp_path.iterdir()) == []
 
 
 def test_the_list_shows_every_scene_with_a_line_about_it():
@@ -90,6 +106,8 @@ def test_smoke_comes_with_layers_that_can_be_blurred(tmp_path):
     given = ("scene", "smoke", "-o", tmp_path, "--size", "48x32")
     outcome = run(*given, "--truth", "--truth-samples", "4")
     assert outcome.status == 0, outcome.err
+    for stage in ("truth, the mean of 4 images", "layers", "flat frame"):
+        assert f"frame 0: {stage}" in outcome.err
     kinds = ("", "_layer1", "_layer2", "_layer3", "_layer4", "_truth")
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"smoke{k}.0000.exr" for k in kinds]
     flat = jaxblur.read_frame(tmp_path / "smoke.0000.exr", shutter=0.5)

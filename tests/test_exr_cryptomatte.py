@@ -51,6 +51,7 @@ def test_a_thing_outside_the_frame_covers_nothing(tmp_path):
         ("/hero", {"manifest": "{"}, "damaged manifest"),
         ("/hero", {"manifest": '{"/hero": "123456789"}'}, "more than 32 bits"),
         ("/hero", {"manifest": '{"/hero": 1}'}, "damaged manifest"),
+        ("/hero", {"manifest": 3000 * "["}, "damaged manifest"),
     ],
 )
 def test_wrong_cryptomattes(tmp_path, name, notes, match):

@@ -74,6 +74,10 @@ def test_arguments_that_are_refused(options, match):
         ),
         (lambda: changed(velocity=jnp.full((48, 64, 2), jnp.inf)), "pair 0: velocity is NaN"),
         (lambda: changed(depth=jnp.full((48, 64), jnp.nan)), "pair 0: depth is NaN"),
+        (
+            lambda: jax.tree.map(lambda buffer: buffer[:10], planted_pair()),
+            "pair 0 has 64x10 pixels, but scores need 11x11 or more",
+        ),
     ],
 )
 def test_data_that_is_refused(pair, match):

@@ -295,10 +295,26 @@ def test_float64_is_left_to_xla():
         assert sum_of(OPERATIONS["powers"], backend="auto", dtype=jnp.float64).dtype == jnp.float64
 
 
-def test_without_a_compiler_xla_does_the_work(monkeypatch):
+def test_without_a_compiler_xla_does_the_work_and_says_the_remedy_once(monkeypatch, caplog):
     monkeypatch.setattr(cpp, "find_compiler", lambda: None)
-    with pytest.raises(ValueError, match="there is no C\\+\\+ compiler; use 'auto' or 'xla'"):
+    cpp._warn_once.cache_clear()
+    with pytest.raises(ValueError, match=r"no C\+\+ compiler \(remedy: .*use 'auto' or 'xla'"):
         sum_of(OPERATIONS["powers"])
+    expected = sum_of(OPERATIONS["powers"], backend="xla")
+    for _ in range(2):
+        np.testing.assert_array_equal(sum_of(OPERATIONS["powers"], backend="auto"), expected)
+    assert caplog.messages == [
+        'there is no C++ compiler (remedy: pip install "jaxblur[compiler]"); XLA does the work, '
+        "several times as slow"
+    ]
+
+
+def test_a_system_that_cannot_load_kernels_is_not_told_to_install_a_compiler(monkeypatch, caplog):
+    monkeypatch.setattr(cpp, "loads_kernels", lambda: False)
+    with pytest.raises(ValueError, match="on Linux and macOS only; use 'auto' or 'xla'"):
+        sum_of(OPERATIONS["powers"])
+    sum_of(OPERATIONS["powers"], backend="auto")
+    assert not caplog.messages
     ours = sum_of(OPERATIONS["powers"], backend="auto")
     np.testing.assert_array_equal(ours, sum_of(OPERATIONS["powers"], backend="xla"))
 

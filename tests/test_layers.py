@@ -115,7 +115,7 @@ def test_derivatives_are_those_of_the_picture(backend):
         bright = front.replace(color=front.color * jnp.array([gain, 1.0]))
         return jnp.mean((blur_layers([bright, back], settings=settings) - target) ** 2)
 
-    slope = jax.grad(loss)(1.0)
+    slope = jax.jit(jax.grad(loss))(1.0)
     difference = (loss(1.01) - loss(0.99)) / 0.02
     assert slope == pytest.approx(float(difference), rel=2e-3)
 
@@ -136,7 +136,7 @@ def test_a_shutter_weighs_all_layers_once():
         )
 
     # Light that comes in at any time shows the same opaque picture but for its borders.
-    assert abs(jax.grad(brightness)(1.0)) < 0.02
+    assert abs(jax.jit(jax.grad(brightness))(1.0)) < 0.02
 
 
 @pytest.mark.slow

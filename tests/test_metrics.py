@@ -12,6 +12,8 @@ from scipy import ndimage
 
 from jaxblur import exr, metrics
 from jaxblur.frame import Frame
+from jaxblur.metrics import errors, images
+from jaxblur.metrics.color_video_vdp import display as displays, metric
 
 LOSSES = {
     "mse": metrics.mse,
@@ -33,9 +35,11 @@ def left_half(image):
     return np.arange(image.shape[1])[None, :].repeat(image.shape[0], 0) < image.shape[1] // 2
 
 
-def test_docstring_examples_hold():
-    assert doctest.testmod(metrics).attempted > 0
-    assert doctest.testmod(metrics).failed == 0
+@pytest.mark.parametrize("module", [errors, metric, displays], ids=lambda module: module.__name__)
+def test_docstring_examples_hold(module):
+    result = doctest.testmod(module)
+    assert result.attempted > 0
+    assert result.failed == 0
 
 
 def test_display_drops_alpha_clips_and_makes_gray_of_one_channel():
@@ -105,7 +109,7 @@ def test_differing_shapes_are_rejected_instead_of_broadcast():
     # The tests' type checker rejects them before the public functions do.
     image, truth = pair((12, 20, 3))
     with pytest.raises(ValueError, match=r"one shape, got \(12, 20, 3\) and \(12, 20, 1\)"):
-        metrics._of_one_shape(image, truth[..., :1])
+        images.of_one_shape(image, truth[..., :1])
 
 
 @pytest.mark.parametrize("name", ["mse", "psnr", "relative_mse", "smape"])

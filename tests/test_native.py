@@ -100,7 +100,7 @@ def test_equals_xla_where_short_paths_take_fewer_samples(name):
             changed = jaxblur.Frame(color, frame.depth, frame.velocity)
             return jnp.sum(blur(changed, parameters) ** 2)
 
-        return blur(frame, parameters), jax.grad(total)(frame.color)
+        return blur(frame, parameters), jax.jit(jax.grad(total))(frame.color)
 
     ours, theirs = map(both, runs(name, spacing=4.0))
     assert_trees_close(ours, theirs, 2e-5)
@@ -127,8 +127,8 @@ def test_derivatives_equal_those_of_xla(fetch):
             return loss(jaxblur.Frame(moved[0], frame.depth, moved[1]), parameters)
 
         buffers = (frame.color, frame.velocity)
-        reverse = jax.grad(loss, argnums=(0, 1), allow_int=False)(frame, parameters)
-        alone = jax.grad(loss, argnums=1)(frame, parameters)
+        reverse = jax.jit(jax.grad(loss, argnums=(0, 1), allow_int=False))(frame, parameters)
+        alone = jax.jit(jax.grad(loss, argnums=1))(frame, parameters)
         return reverse, alone, jax.jvp(along, (0.0,), (1.0,))
 
     ours, theirs = map(derivatives, runs("guertin2014", fetch=fetch, tile_choice="own"))
@@ -148,9 +148,9 @@ def test_derivatives_equal_those_of_xla_where_depths_are_equal():
             blurred = blur(jaxblur.Frame(frame.color, depth, velocity), parameters)
             return jnp.sum((blurred - 0.5) ** 2)
 
-        alone = jax.grad(loss, argnums=1)(depth, 0.5)
+        alone = jax.jit(jax.grad(loss, argnums=1))(depth, 0.5)
         assert alone != 0, "something is thin"
-        return jax.grad(loss, argnums=(0, 1))(depth, 0.5), alone
+        return jax.jit(jax.grad(loss, argnums=(0, 1)))(depth, 0.5), alone
 
     ours, theirs = map(derivatives, runs("layered", fetch="bilinear"))
     assert_trees_close(ours, theirs, 2e-5)
@@ -171,7 +171,7 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
         def loss(frame, parameters):
             return jnp.sum((blur(frame, parameters) - 0.5) ** 2)
 
-        return jax.grad(loss, argnums=(0, 1))(frame, parameters)
+        return jax.jit(jax.grad(loss, argnums=(0, 1)))(frame, parameters)
 
     ours, theirs = map(derivatives, runs(name, fetch="bilinear"))
     # Where taps move by a scalar, a sum over pixels cancels: 3.5e-5 at worst, for eta.
@@ -195,7 +195,7 @@ def test_any_number_of_channels_has_a_native_form(name, channels):
             result = blur(dataclasses.replace(frame, color=color), parameters)
             return jnp.sum(result**2), result
 
-        return jax.grad(loss, has_aux=True)(color)
+        return jax.jit(jax.grad(loss, has_aux=True))(color)
 
     ours, theirs = map(value_and_derivative, runs(name, fetch="bilinear"))
     assert ours[1].shape == (5, 19, channels)

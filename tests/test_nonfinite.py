@@ -167,7 +167,7 @@ def test_masked_frames_are_differentiable_and_batch():
         colors, chances = tile_outcomes(masked, parameters, settings=settings)
         return jnp.sum(chances[..., None] * colors**2)
 
-    gradients = jax.grad(loss, argnums=(0, 1))(40.0, color, valid)
+    gradients = jax.jit(jax.grad(loss, argnums=(0, 1)))(40.0, color, valid)
     assert all(jnp.isfinite(gradient).all() for gradient in gradients)
     assert gradients[0] != 0 and (gradients[1][2, 3] == 0).all() and (gradients[1][2, 2] != 0).any()
     batched = jax.vmap(loss, in_axes=(None, 0, 0))(

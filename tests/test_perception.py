@@ -171,6 +171,16 @@ def test_a_round_that_was_not_finished_is_left_out(tmp_path):
     assert len(votes.counts) == 1 and votes.unfinished == {"ann": 1}
 
 
+def test_many_names_take_no_memory(tmp_path):
+    """6,000 stimuli of 3,000 observers, each with one vote: no round is complete."""
+    path = tmp_path / "many.csv"
+    rows = [["k", f"o{k}", "", "t", 1, "s", f"a{k}", f"b{k}", f"a{k}", ""] for k in range(3000)]
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([COLUMNS, *rows])
+    votes = perception.read_votes([path])
+    assert len(votes.counts) == 0 and len(votes.unfinished) == 3000
+
+
 def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
     path = write_votes(tmp_path / "1.csv", "sleepy", "cab", right=0)
     with pytest.raises(ValueError, match="answered 80 % of the catch trials right \\(sleepy 0 %"):
@@ -184,7 +194,10 @@ def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,b,c,\n", "line 2: 'c' is none of the two"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1\n", "line 2 is cut off"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,a,a,\n", "line 2"),
-        ("\0\xff", "is no text"),
+        (f"{','.join(COLUMNS)}\nk,o,,t,1,,a,b,a,\n", "line 2 has no scene; give a file that"),
+        (f"{','.join(COLUMNS)}\nk, ,,t,1,,a,b,a,\n", "line 2 has no observer, scene;"),
+        ("\0\xff", "is no text; give a file that"),
+        ("a\0,b\n", "is no text; give a file that"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, text, words):
@@ -214,4 +227,5 @@ def test_the_command_prints_groups(tmp_path):
     assert found["consistency"] == found["agreement"] == 1
     assert found["groups"] == [["c"], ["a"], ["b"], ["d"]]
     assert "needs three or more" in refused("votes", files[0])
-    assert "no.csv" in refused("votes", tmp_path / "no.csv")
+    line = refused("votes", tmp_path / "no.csv")
+    assert "no.csv: no such file; give a file that the page of `jaxblur study` saved" in line

@@ -73,6 +73,17 @@ def test_a_rotation_varies_in_angle_and_has_no_layers():
     assert found.layered_tiles == 0
 
 
+def test_the_angular_variance_is_that_which_the_filter_is_fed():
+    """Of NeighborMax, the dominant velocities of pass 3, not of each tile's own maximum."""
+    # Six columns of tiles; the last one has another direction, and a faster neighbor.
+    others = np.arange(SHAPE[1]) < 50
+    frame = frame_of(np.where(others[:, None], [8.0, 0.0], [0.0, 6.0]))
+    found = frame_statistics(frame)
+    assert found.radius == 10 and found.angular_variance == pytest.approx(0, abs=1e-6)
+    own = jaxblur.tile_variance(jaxblur.tile_max(frame.velocity, found.radius))
+    assert float(own.mean()) == pytest.approx((1 / 3 + 1 / 2) / 6)
+
+
 def test_layers_need_motion_and_depth_apart():
     # Of the 4 x 6 tiles of 10 pixels the left three columns move, and one of them is cut in two.
     apart = frame_statistics(half_moving((1.0, 2.0)))
@@ -123,6 +134,17 @@ def test_the_plan_runs_the_filter_that_it_names():
 def test_no_tolerance_at_all_is_met():
     chosen = plan(STATISTICS, tolerance_db=0.0)
     assert chosen.loss + chosen.spread <= 0
+
+
+def test_no_rule_promises_a_gain():
+    """Far from the scenes of the derivation its linear terms would."""
+    far = dataclasses.replace(STATISTICS, angular_variance=1.0, layered_tiles=0.0)
+    assert plan(far, tolerance_db=2.0).filter == "layered"
+    cheapest = plan(
+        far,
+        budget_ms=0.2304 * candidates()["pixel_velocity, 9 samples"]["milliseconds_per_megapixel"],
+    )
+    assert cheapest.loss == 0
 
 
 def test_more_tolerance_never_takes_longer():

@@ -149,7 +149,7 @@ def test_soft_edges_have_a_derivative_in_depth():
         result = mlaa(image, frame.replace(depth=depth), "depth", softness=0.3, search=4)
         return (result**2).sum()
 
-    gradient = jax.grad(loss)(jnp.asarray(frame.depth, jnp.float32))
+    gradient = jax.jit(jax.grad(loss))(jnp.asarray(frame.depth, jnp.float32))
     assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
 
 

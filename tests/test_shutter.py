@@ -240,7 +240,7 @@ def test_the_derivatives_in_times_agree_with_central_differences():
         return jnp.sum(blurred * target)
 
     at = jnp.asarray([-0.8, 1.3, 0.6])
-    slope = jax.grad(score)(at)
+    slope = jax.jit(jax.grad(score))(at)
     np.testing.assert_allclose(slope, jax.jacfwd(score)(at), rtol=1e-3, atol=1e-4)
     step = 0.05
     differences = [(score(at + step * e) - score(at - step * e)) / (2 * step) for e in jnp.eye(3)]
@@ -296,7 +296,7 @@ def test_values_and_derivatives_are_finite_at_odd_shutters(shutter):
         return jnp.sum(blurred**2)
 
     shutter = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), shutter)
-    value, slope = jax.value_and_grad(score)(shutter)
+    value, slope = jax.jit(jax.value_and_grad(score))(shutter)
     assert np.isfinite(value)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slope))
 

@@ -65,12 +65,25 @@ def test_what_is_no_study_is_refused(tmp_path):
     assert "holds 0 methods" in refused("study", folder / "good", *output)
     assert "no folder" in refused("study", tmp_path / "none", *output)
     assert "can write .html only" in refused("study", folder, "-o", tmp_path / "out.txt")
+    line = refused("study", folder, "-o", tmp_path / "new" / "out.html")
+    assert f"no folder {tmp_path / 'new'}; create it first" in line
     good = write_folder(tmp_path / "good")
     write_image(good / "good" / "still.png", np.zeros((16, 16, 3), np.float32))
     assert "one size is needed" in refused("study", good, *output)
     small = ("--max-megabytes", "0.001")
     assert "--max-megabytes" in refused("study", write_folder(tmp_path / "b"), *output, *small)
     assert not (tmp_path / "out.html").exists()
+
+
+def test_methods_with_equal_pictures_are_refused(tmp_path):
+    folder = write_folder(tmp_path / "in", animated=(1,))
+    for file in (folder / "fair").iterdir():
+        file.write_bytes((folder / "poor" / file.name).read_bytes())
+    message = refused("study", folder, "-o", tmp_path / "out.html")
+    assert "every picture by fair equals that by poor; leave one of the two out" in message
+    # One picture that differs is enough.
+    write_image(folder / "fair" / "still.png", np.zeros(SHAPE, np.float32))
+    assert perception.read_study(folder).stimuli == ("fair", "good", "poor")
 
 
 def test_names_cannot_leave_their_place(tmp_path):

@@ -337,9 +337,9 @@ def test_a_candidate_that_points_outside_the_picture_gains_nothing():
 
 def test_candidates_that_leave_most_of_the_difference_explain_nothing():
     rng = np.random.default_rng(2)
-    unrelated = rng.random((2, 40, 60, 3))
+    now, following = rng.random((2, 40, 60, 3))
     vector = np.full((40, 60, 2), (6, 3), np.float32)
-    assert not vectors.rank_conventions(*unrelated, vector).is_explained
+    assert not vectors.rank_conventions(now, following, vector).is_explained
 
 
 def test_ranking_finds_blender_vectors_in_a_rendered_pair():

@@ -11,6 +11,7 @@ then tries it.
 import dataclasses
 import itertools
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -162,18 +163,19 @@ def rates(
 ) -> dict[tuple[str, int], float]:
     """Milliseconds per megapixel: the shortest of interleaved runs on one mosaic.
 
-    Other load on the machine only makes runs longer, so the shortest is the least disturbed.
+    Processor time over the number of cores, which other programs hardly disturb: the time that the
+    run takes where all cores are free.
     """
     frame = common.mosaic(examples, 5)
     times: dict[tuple[str, int], list[float]] = {}
     table = runs(parameters, FITTED_RADIUS)
     for turn, (key, run) in itertools.product(range(repeats + 1), table.items()):
-        started = time.perf_counter()
+        started = time.process_time()
         run(frame).block_until_ready()
         if turn:
-            times.setdefault(key, []).append(time.perf_counter() - started)
-    megapixels = frame.depth.size / 1e6
-    return {key: 1000 * min(taken) / megapixels for key, taken in times.items()}
+            times.setdefault(key, []).append(time.process_time() - started)
+    scale = 1000 / (os.cpu_count() or 1) / (frame.depth.size / 1e6)
+    return {key: scale * min(taken) for key, taken in times.items()}
 
 
 def derive(

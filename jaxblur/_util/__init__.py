@@ -1,4 +1,4 @@
-"""Files written whole, cache folders, text for terminals, fronts: shared by several packages.
+"""Files written whole, cache folders, compilers, text for terminals: shared by several packages.
 
 Imports nothing of jaxblur, and neither jax nor OpenImageIO.
 """

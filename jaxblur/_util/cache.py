@@ -1,10 +1,12 @@
 """The folder of compiled code, which later runs load: only the user may be able to change it."""
 
 import contextlib
+import hashlib
 import itertools
 import os
 import pathlib
 import stat
+import tempfile
 import zlib
 from collections.abc import Iterator
 
@@ -14,6 +16,8 @@ TRIMMED = 0.8
 """Share of `LARGEST` that is left after old files are removed."""
 CHECKED = "checked"
 """Name of the empty file whose time is that of the last search for incomplete entries."""
+BUILDING = "building_"
+"""How names of folders begin in which something is compiled or written."""
 ZSTD = b"\x28\xb5\x2f\xfd"
 SHARED = stat.S_IWGRP | stat.S_IWOTH
 
@@ -98,6 +102,53 @@ def is_own_file(status: os.stat_result) -> bool:
     )
 
 
+def own_bytes(path: pathlib.Path) -> bytes:
+    """Return the contents of a file that only this user can write.
+
+    Raises:
+        OSError: there is no such file; links do not count.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with open(descriptor, "rb") as file:
+        if not is_own_file(os.fstat(descriptor)):
+            raise PermissionError(f"{path} is not a file of this user alone")
+        return file.read()
+
+
+def intact_bytes(path: pathlib.Path) -> bytes | None:
+    """Return compiled code that is as it was compiled, and that nobody else can write, else None.
+
+    Args:
+        path: a file with its checksum beside it.
+    """
+    try:
+        contents, expected = own_bytes(path), own_bytes(checksum_file(path))
+    except OSError:
+        return None
+    found = hashlib.sha256(contents).hexdigest()
+    return contents if found == expected.decode("ascii", "replace") else None
+
+
+def keep_bytes(path: pathlib.Path, contents: bytes) -> None:
+    """Write compiled code and its checksum, by which `intact_bytes` knows what is not whole.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    checksum = hashlib.sha256(contents).hexdigest().encode()
+    with tempfile.TemporaryDirectory(prefix=BUILDING, dir=path.parent) as folder:
+        for place, data in ((checksum_file(path), checksum), (path, contents)):
+            part = pathlib.Path(folder, place.name)
+            part.write_bytes(data)
+            part.chmod(0o600)
+            os.replace(part, place)
+
+
+def is_intact(path: pathlib.Path) -> bool:
+    """Whether compiled code is there and as it was compiled, and nobody else can write it."""
+    return intact_bytes(path) is not None
+
+
 def _make(folder: pathlib.Path) -> None:
     """Make a folder for this user only, unless there is something of its name."""
     try:
@@ -138,7 +189,7 @@ def trim_cache() -> None:
         folder = private_folder()
     except UnsafeFolderError:
         return
-    found = sorted(_compiled_code(folder), reverse=True)
+    found = sorted(compiled_code(folder), reverse=True)
     sizes = list(itertools.accumulate(size for _, size, _ in found))
     if not sizes or sizes[-1] <= LARGEST:
         return
@@ -190,9 +241,13 @@ def _is_torn(entry: bytes) -> bool:
     return not unpacking.eof
 
 
-def _compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
-    """Time of last use, bytes and path of each file of compiled code."""
-    for pattern in ("*-cache", "kernels/jaxblur_*.so", "kernels/jaxblur_*.json"):
+def compiled_code(folder: pathlib.Path) -> Iterator[tuple[float, int, pathlib.Path]]:
+    """Yield time of last use, bytes and path of each file of compiled code.
+
+    Args:
+        folder: `cache_folder`.
+    """
+    for pattern in ("*-cache", "kernels/jaxblur_*.so", "kernels/jaxblur_*.json", "kernels/*.xla"):
         for path in folder.glob(pattern):
             try:
                 status = path.lstat()

@@ -13,7 +13,7 @@ it, and imports none of them:
 Exit status: 0 done, 1 some frames of a sequence are not (or the answer is no: something is slower,
 no vectors fit), 2 wrong usage or input (nothing was written), 130 interrupted, 141 the reader of
 the output went away. Results go to stdout, everything else to stderr. Nothing here imports jax
-before the arguments and the input files have been checked.
+before the arguments and the input files have been checked; `programs` blurs without it.
 """
 
 try:

@@ -309,6 +309,17 @@ def check_folder(folder: pathlib.Path) -> None:
         raise CommandError(f"{folder}: the folder {existing} is not writable.")
 
 
+def check_parent(output: pathlib.Path) -> None:
+    """Reject a file whose folder does not exist, or is not writable.
+
+    Raises:
+        CommandError: it is so.
+    """
+    if not output.parent.is_dir():
+        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_folder(output.parent)
+
+
 def describe_presets() -> str:
     """List the vector conventions for the help; unverified ones say so."""
     from jaxblur.vectors import PRESETS

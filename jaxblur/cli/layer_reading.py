@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import itertools
 import logging
 import pathlib
 from collections.abc import Sequence
@@ -14,6 +15,9 @@ LOG = logging.getLogger("jaxblur")
 
 DEEP_LAYERS = 2
 """Layers of a deep file, by default."""
+COVERS, NEARER, MOSTLY = 0.1, 1.02, 0.5
+"""The order is told by pixels of at least this alpha; it is wrong where depths differ by at least
+this factor in more than this share of them."""
 ALPHA_BEYOND = 0.1
 """How far alpha may lie outside 0..1, as in `jaxblur.blur_layers`."""
 
@@ -48,6 +52,7 @@ def read(arguments: argparse.Namespace) -> tuple[tuple[stack.ReadLayer, ...], st
         selections.append(selects)
         motions += [f"{found[0].name}: {motion}"] if motion else []
     _check_alike(layers)
+    _warn_of_order([layer for layer in layers if not _is_still(arguments, layer)])
     return tuple(layers), "; ".join(motions), any(selections)
 
 
@@ -232,6 +237,35 @@ def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
                 "and which would not add up without it; render it, or name with --also what all "
                 "have.",
             )
+
+
+def _is_still(arguments: argparse.Namespace, layer: stack.ReadLayer) -> bool:
+    return layer.number is not None and arguments.stack[layer.number].still
+
+
+def _warn_of_order(layers: Sequence[stack.ReadLayer]) -> None:
+    """Warn of layers given back to front: depth says so where both cover a pixel."""
+    import numpy as np
+
+    for front, back in itertools.pairwise(layers):
+        seen = [_alpha_of(layer) > COVERS for layer in (front, back)]
+        depths = [np.asarray(layer.buffers.depth) for layer in (front, back)]
+        told = seen[0] & seen[1] & np.isfinite(depths[0]) & np.isfinite(depths[1])
+        if not told.any():
+            continue
+        behind = float(np.mean(depths[0][told] > NEARER * depths[1][told]))
+        if behind > MOSTLY:
+            LOG.warning(
+                "%s is given in front of %s, but is farther away in %.0f %% of the pixels that "
+                "both cover; layers go from the front to the back.",
+                *(front.name, back.name, 100 * behind),
+            )
+
+
+def _alpha_of(layer: stack.ReadLayer) -> Any:
+    """(H, W) alpha of a layer."""
+    names = layer.buffers.color_channels
+    return layer.buffers.color[..., next(k for k, name in enumerate(names) if _is_alpha(name))]
 
 
 def _words(window: tuple[int, int, int, int]) -> str:

@@ -176,6 +176,14 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     buffers = source.buffers
     truth = None
     if arguments.truth is not None:
+        from jaxblur import metrics
+
+        height, width = buffers.color.shape[:2]
+        if min(height, width) < (least := metrics.SSIM_WINDOW):
+            raise CommandError(
+                f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
+                f"{least}x{least} or more (the window of SSIM); leave it out."
+            )
         stored, colors = read_truth(arguments, buffers.color.shape, arguments.view)
         if not colors.is_identity:
             LOG.info("colors of the truth: %s", colors.words)

@@ -19,10 +19,12 @@ from .commands import (
     bench,
     blur,
     demo,
+    doctor,
     export,
     fit,
     info,
     integrate,
+    jod,
     layers,
     play,
     post,
@@ -38,7 +40,7 @@ from .interrupts import never_lost, with_termination
 LOG = logging.getLogger("jaxblur")
 COMMANDS = (
     *(blur, fit, layers, post, info, vectors, report, demo, scene, bench),
-    *(export, integrate, play, study, votes),
+    *(export, integrate, jod, play, study, votes, doctor),
 )
 
 USAGE = 2

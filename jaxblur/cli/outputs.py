@@ -10,7 +10,7 @@ from typing import Any
 import jaxblur
 
 from . import posts, sources, stack
-from .arguments import CommandError, check_folder, file_path
+from .arguments import CommandError, check_parent, file_path
 from .choice import PASSED_THROUGH, Choice
 from .filtering import takes_neighbors
 from .loading import Loaded
@@ -61,9 +61,7 @@ def check_output(output: pathlib.Path) -> None:
         raise CommandError(f"{output}: is a folder; give a file name.")
     if output.suffix.lower() not in (".exr", ".png"):
         raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
-    if not output.parent.is_dir():
-        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
-    check_folder(output.parent)
+    check_parent(output)
 
 
 def with_preview(arguments: argparse.Namespace, output: Any) -> list[Any]:

@@ -106,6 +106,8 @@ POSITIONS = ("start", "center", "end")
 """Where the time of the frame lies in the exposure, as `jaxblur.shutter.POSITIONS`."""
 CURVES = ("box", "trapezoid", "triangle", "gaussian")
 """As `jaxblur.shutter.CURVES`."""
+LARGEST = 1e30
+"""Numbers of a curve are below it, so that sums of them are finite in single precision."""
 MOST_POINTS = 10_000
 """Lines of the file of a curve."""
 POINTS = 257
@@ -292,10 +294,12 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
             raise CommandError(
                 f"{path}: line {number} holds something else than numbers."
             ) from None
-        if len(row) > 2 or (rows and len(row) != len(rows[0])) or not all(map(math.isfinite, row)):
+        is_like_others = len(row) <= 2 and (not rows or len(row) == len(rows[0]))
+        # NaN is not below either.
+        if not (is_like_others and all(abs(value) < LARGEST for value in row)):
             raise CommandError(
                 f"{path}: line {number}: expected a finite number, or a time and a number, as in "
-                "the other lines."
+                f"the other lines, of less than {LARGEST:g}."
             )
         rows.append(row)
     if not 2 <= len(rows) <= MOST_POINTS:

@@ -7,7 +7,7 @@ import pathlib
 import time
 from typing import Any
 
-from . import blurring, mattes, outputs, results, stack, strength
+from . import blurring, mattes, outputs, programs, results, stack, strength
 from .arguments import CommandError, check_outputs
 from .choice import Choice, choose
 from .compute import start_jax
@@ -58,7 +58,6 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
     if not loaded.selects:
         raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
 
-    start_jax(not arguments.no_compile_cache)
     chosen, blurred = _blur(arguments, asked, parts or [loaded])
     changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
     loaded = dataclasses.replace(loaded, changes=changes)
@@ -125,18 +124,23 @@ def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded
 
 def _subframe_files(arguments: argparse.Namespace) -> list[pathlib.Path]:
     """The sub-frames on disk in the order of their numbers; none without the option."""
-    from jaxblur.sequence import parse_names
-
     if arguments.subframes is None:
         return []
+    from jaxblur.sequence import parse_names
+
     names = parse_names(arguments.subframes)
     return [names.path(number) for number in names.frames_on_disk()]
 
 
 def _blur(arguments: argparse.Namespace, asked: Choice, parts: list[Loaded]) -> tuple[Choice, Any]:
     """Blur the parts of the exposure, or the one frame of all of it, and take the mean."""
+    if arguments.plan:
+        start_jax(not arguments.no_compile_cache)
     fastest = max(parts, key=lambda part: part.speeds.suggested_radius)
     chosen = choose(arguments, asked, fastest)
+    if len(parts) == 1 and programs.serves(arguments, chosen, parts[0]):
+        return chosen, programs.blur(chosen, parts[0].buffers)
+    start_jax(not arguments.no_compile_cache)
     if parts[0].neighbors and not takes_neighbors(chosen.name) and not arguments.subframes:
         LOG.warning("%s takes no neighbors: --before and --after are not used.", chosen.name)
     total = blurring.blur(chosen, parts[0], arguments.seed)

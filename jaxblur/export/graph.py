@@ -351,7 +351,7 @@ class _Builder:
         grid = Size("frame") if marks else size
         text = _first_paragraph(getattr(run.program, "__doc__", None))
         if run.kind == "tiles":
-            text = f"In each tile, the first pixel with the largest key. The key: {text}"
+            text += " Kept is the pixel of each tile where this is largest; at a tie the first."
         node = Node(name, run, tuple(inputs), kept_buffer, buffer, grid, text)
         self.nodes.append(node)
 
@@ -467,7 +467,7 @@ def _name_of(program: Any) -> str:
 
 
 def _first_paragraph(text: str | None) -> str:
-    return " ".join((text or "").strip().split("\n\n")[0].split())
+    return " ".join((text or "").strip().split("\n\n")[0].split()).replace("``", "`")
 
 
 def _make_unique(buffers: list[Buffer]) -> None:

@@ -9,13 +9,20 @@ blurred again, each alone. The numbers also show which pixels change, so that on
 those are blurred at all.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from .ranks import ChannelChange, Ranks, change_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    Planes = Float[np.ndarray, "height width planes"]
+    Blur = Callable[[list[Planes]], Planes]
 
 PLANES = 8
 """Images that are blurred at once; always as many, since each number of channels is compiled."""
@@ -36,8 +43,6 @@ SMALLEST = 1e-6
 MISMATCH = 2e-4
 """Error of a number that shows that a coverage was taken for that of another thing."""
 
-Planes = Float[np.ndarray, "height width planes"]
-Blur = Callable[[list[Planes]], Planes]
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pixels, things, coverages."""
 

@@ -4,19 +4,23 @@ All become one convention, that of `jaxblur.camera`: camera space has x right, y
 matrices take column vectors from the world to the camera, and focal lengths are in pixels.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import pathlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import nearest
 
 from .listing import FileInfo, Part
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 WORLD_TO_CAMERA, WORLD_TO_NDC = "worldToCamera", "worldToNDC"
 """Header attributes of OpenEXR, which Arnold, Karma, Mantra and RenderMan can write."""
@@ -32,7 +36,10 @@ _SHAPES = {
     "focal_length": (),
     "center": (2,),
 }
-_LIMITS = {"field_of_view": 180, "focal_length": math.inf}
+_LIMITS = {"field_of_view": (0.001, 180), "focal_length": (0, 1e9)}
+"""What a number lies between."""
+_LARGEST = 1e15
+"""Numbers are below it, so that their squares are finite in single precision."""
 
 
 class CameraView(NamedTuple):
@@ -168,7 +175,8 @@ def read_camera_file(path: PathLike) -> CameraFile:
     """
     try:
         content: Any = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    # Deep nesting exhausts the recursion of the parser.
+    except (OSError, ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"cannot be read as JSON ({error}).") from error
     if not isinstance(content, dict) or not isinstance(content.get("frames"), dict):
         raise JaxblurIOError(path, 'must be an object with "frames", an object by frame number.')
@@ -179,7 +187,8 @@ def read_camera_file(path: PathLike) -> CameraFile:
     frames: dict[int, dict[str, Any]] = {}
     for number, fields in content["frames"].items():
         digits = number.removeprefix("-")
-        if not (digits.isascii() and digits.isdigit()) or not isinstance(fields, dict):
+        is_number = digits.isascii() and digits.isdigit() and len(digits) < 10
+        if not is_number or not isinstance(fields, dict):
             raise JaxblurIOError(path, f"frames: {number!r} must be a whole number and an object.")
         frames[int(number)] = _checked_fields(path, number, {**shared, **fields})
     return CameraFile(str(path), frames, AXES[axes])
@@ -206,17 +215,19 @@ def _fault(name: str, value: Any) -> str:
     """What a field must be, if it is something else."""
     try:
         array = np.array(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
-    if array.shape != _SHAPES[name] or not np.isfinite(array).all():
-        return f"finite numbers of shape {_SHAPES[name]}"
+    if array.shape != _SHAPES[name] or not (np.abs(array) < _LARGEST).all():
+        return f"finite numbers of shape {_SHAPES[name]}, below {_LARGEST:g}"
     if array.shape == (4, 4) and not _is_rigid(array):
         return (
             "a matrix for column vectors, with an inverse and the last row 0, 0, 0, 1 (transpose "
             "it if its last column is that)"
         )
-    if name in _LIMITS and not 0 < array < _LIMITS[name]:
-        return f"above 0 and below {_LIMITS[name]}"
+    if name in _LIMITS:
+        least, most = _LIMITS[name]
+        if not least < array < most:
+            return f"above {least} and below {most:g}"
     return ""
 
 

@@ -1,17 +1,21 @@
 """Read channels of image files by name, whole or in blocks of rows, as they are stored."""
 
+from __future__ import annotations
+
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
 from .listing import Channel, FileInfo, Part, describe
 from .opening import open_input, pending_message
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Deflate cannot expand by more, the other schemes here by even less; this exposes crafted headers.
 LARGEST_EXPANSION = {

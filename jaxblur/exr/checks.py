@@ -4,17 +4,22 @@ Warnings point at the caller of `read_buffers`: it calls the readers of color, v
 and these call the checks.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import not_finite
 
 from .listing import Channel, FileInfo
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Squares of much larger displacements overflow single precision; no picture is that large.
 SPEED_LIMIT = 1e6

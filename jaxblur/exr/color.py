@@ -5,20 +5,24 @@ converted: PNG previews, report pages, scores. The configuration is that of ``$O
 as in other programs, else the one inside OpenColorIO, ``ocio://default``.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 import os
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import OpenImageIO as oiio
-from jaxtyping import Float
 
 from jaxblur import srgb
 from jaxblur._util.errors import JaxblurIOWarning
 
 from .listing import FileInfo
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 BUILT_IN = "ocio://default"
 LINEAR_SRGB = "lin_rec709_scene"

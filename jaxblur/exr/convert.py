@@ -1,9 +1,11 @@
 """Stored values as a frame has them: linear light, positive distance, half-spread in pixels."""
 
+from __future__ import annotations
+
 import warnings
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur import srgb, vectors
 from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
@@ -12,6 +14,9 @@ from .checks import refuse, refuse_or_zero
 from .choose import ColorGroup
 from .color import INTEGERS
 from .listing import FileInfo
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
 

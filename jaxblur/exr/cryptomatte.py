@@ -9,22 +9,26 @@ Source: Friedman and Jones, Cryptomatte specification 1.2.0, Psyop 2018, and Mur
 Austin Appleby.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import fnmatch
 import json
 import os
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 from jaxblur._util.text import nearest
 
 from .channels import read_channels
 from .listing import FileInfo, inspect
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _ENTRY = re.compile(r"cryptomatte/(?P<key>[^/]+)/(?P<field>\w+)")
 _COMPONENTS = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2, "alpha": 3}
@@ -259,7 +263,8 @@ def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str,
     try:
         listed: Any = json.loads(text)
         return {str(key): _identifier(value) for key, value in listed.items()}
-    except (ValueError, AttributeError, TypeError) as error:
+    # Deep nesting exhausts the recursion of the parser.
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
         raise JaxblurIOError(
             info.path, f"Cryptomatte {name}: damaged manifest ({error}); render again."
         ) from error

@@ -12,10 +12,11 @@ A sample of alpha 1 hides what is behind it in its own layer. What is in the lay
 kept, and shows when the motion uncovers it.
 """
 
-from typing import NamedTuple, Unpack
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
@@ -25,6 +26,9 @@ from .convert import depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
 from .opening import open_input, pending_message
 from .read import Buffers, ReadOptions
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
 
 BINS = 1024
 """Log depths at which a picture can be cut."""
@@ -54,7 +58,7 @@ class Samples(NamedTuple):
     velocity: Float[np.ndarray, "samples 2"]
     path: Float[np.ndarray, "samples 2 2"] | None
 
-    def take(self, which: np.ndarray) -> "Samples":
+    def take(self, which: np.ndarray) -> Samples:
         """Some of the samples, in an order."""
         return Samples(
             *(self.pixel[which], self.color[which], self.alpha[which]),

@@ -5,10 +5,11 @@ smaller than the channels. A change is written into a copy of the file, pixel by
 changed stays bit for bit.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt32
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
@@ -16,6 +17,9 @@ from .channels import read_channels
 from .choose import ColorGroup, views_of
 from .cryptomatte import CryptomatteLayer, check_identifiers, cryptomatte_layers
 from .listing import FileInfo, inspect
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt32
 
 
 class Ranks(NamedTuple):

@@ -1,12 +1,13 @@
 """Read frames: color, depth and vectors, converted and checked on input."""
 
+from __future__ import annotations
+
 import dataclasses
 import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
@@ -27,6 +28,8 @@ from .listing import FileInfo, inspect
 from .passes import Passes, choose_passes
 
 if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
     from jaxblur.frame import Frame
 
 
@@ -66,7 +69,7 @@ class Buffers:
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
     guide: Float[np.ndarray, "height width channels"] | None = None
 
-    def frame(self) -> "Frame":
+    def frame(self) -> Frame:
         """The buffers as a `jaxblur.Frame` of JAX arrays.
 
         With further passes the color holds those too, behind the picture, which is the guide.
@@ -107,7 +110,7 @@ class ReadOptions(TypedDict, total=False):
 
 def read_frame(
     path: PathLike, preset: str = "auto", shutter: float = 0.5, **options: Unpack[ReadOptions]
-) -> "Frame":
+) -> Frame:
     """Read a frame for the filters.
 
     Args:

@@ -1,9 +1,11 @@
 """Look through files by blocks of rows, so that a large picture needs little memory."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxblur import vectors
 from jaxblur._util.errors import JaxblurIOError, PathLike
@@ -15,6 +17,9 @@ from .choose import choose_color, is_depth
 from .convert import half_spread
 from .listing import FileInfo, describe
 from .opening import open_input
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def count_not_finite(path: PathLike) -> dict[str, int]:

@@ -1,5 +1,7 @@
 """Write images, frames and named channels; a file appears only when it is complete."""
 
+from __future__ import annotations
+
 import os
 import pathlib
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio
-from jaxtyping import Float
 
 from jaxblur import srgb, vectors
 from jaxblur._util.atomic import replacing
@@ -22,6 +23,8 @@ from .ranks import ChannelChange
 from .write_like import write_like
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
+
     from jaxblur.frame import Frame
 
 COLOR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
@@ -241,7 +244,7 @@ def _header_like(path: PathLike, part: int) -> Any:
 
 def write_frame(
     path: PathLike,
-    frame: "Frame",
+    frame: Frame,
     shutter: float,
     *,
     attributes: Mapping[str, str | int | float] | None = None,
@@ -271,7 +274,7 @@ def write_frame(
     write_channels(path, channels, dtype=dict.fromkeys(names, "half"), attributes=attributes)
 
 
-def _velocity_channels(frame: "Frame", shutter: float) -> dict[str, np.ndarray]:
+def _velocity_channels(frame: Frame, shutter: float) -> dict[str, np.ndarray]:
     if frame.path is None:
         velocity = np.asarray(frame.velocity, np.float32) * np.float32(2 / shutter)
         return {"velocity.X": velocity[..., 0], "velocity.Y": velocity[..., 1]}

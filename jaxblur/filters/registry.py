@@ -14,7 +14,6 @@ import difflib
 import functools
 import hashlib
 import importlib
-import importlib.metadata
 import importlib.util
 import pathlib
 import re
@@ -376,7 +375,10 @@ def _with_plugins() -> dict[str, FilterInfo]:
 @functools.cache
 def _load_plugins() -> None:
     """Import installed plug-ins, once; one that fails gives a warning that names it."""
-    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+    # Not needed to run a filter of this package, and slow to import.
+    from importlib.metadata import entry_points
+
+    for point in entry_points(group=ENTRY_POINTS):
         try:
             loaded = point.load()
             if isinstance(loaded, FilterInfo):

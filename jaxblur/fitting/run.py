@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 
 import jaxblur
 
+from .. import metrics
 from .._util.stages import Stage, Tell, untold
 from ..filters.registry import FilterInfo, Parameters, filter_info
 from ..frame import Frame
@@ -136,7 +137,9 @@ def fit(
     start |= starting_values(name, {k: start[k] for k in free})
     if info.check_fit is not None:
         info.check_fit(free, objective.settings, start)
-    training, held_out = _split(make_pairs(pairs, names), holdout)
+    made = make_pairs(pairs, names)
+    _check_sizes(made)
+    training, held_out = _split(made, holdout)
     key = jax.random.key(0) if key is None else key
     fixed = {k: v for k, v in start.items() if k not in free}
     batches = make_batches(training, pixel_weights(training, mask, pixel))
@@ -274,6 +277,18 @@ def _check_free(info: FilterInfo, free: Sequence[str]) -> None:
         raise ValueError(f"`free` must name at least one parameter of {info.name}.")
     if len(set(free)) != len(free):
         raise ValueError(f"`free` must name each parameter once, got {', '.join(free)}.")
+
+
+def _check_sizes(pairs: Sequence[Pair]) -> None:
+    """Reject what could be fitted but not scored, before any work."""
+    least = metrics.SSIM_WINDOW
+    for pair in pairs:
+        height, width = pair.truth.shape[:2]
+        if min(height, width) < least:
+            raise ValueError(
+                f"{pair.name} has {width}x{height} pixels, but scores need {least}x{least} or more "
+                "(the window of SSIM); render it larger, or leave it out."
+            )
 
 
 def _check_counts(**counts: int) -> None:

@@ -11,6 +11,7 @@ or one folder for each method, with the same names in each::
 """
 
 import hashlib
+import itertools
 import pathlib
 from typing import NamedTuple
 
@@ -75,7 +76,8 @@ def read_study(
 
     Raises:
         JaxblurIOError: there are fewer than three methods, a method lacks a scene or frames that
-            another one has, sizes differ, or a file cannot be read.
+            another one has, sizes differ, two methods have the same pictures, or a file cannot be
+            read.
         ValueError: there is no such view or color space.
     """
     folder = pathlib.Path(folder)
@@ -118,6 +120,7 @@ def read_study(
             for name in files[first]
         ),
     )
+    _check_distinct(folder, study)
     for scene in study.scenes:
         sizes = {frame.shape[:2] for frames in scene.frames for frame in frames}
         if len(sizes) > 1:
@@ -126,6 +129,16 @@ def read_study(
                 folder, f"{scene.name} has pictures of {listed}; one size is needed."
             )
     return study
+
+
+def _check_distinct(folder: pathlib.Path, study: Study) -> None:
+    """Reject two methods whose pictures are all equal: nobody can prefer one of them."""
+    for (i, one), (j, other) in itertools.combinations(enumerate(study.stimuli), 2):
+        pairs = ((scene.frames[i], scene.frames[j]) for scene in study.scenes)
+        if all(all(map(np.array_equal, *frames)) for frames in pairs):
+            raise JaxblurIOError(
+                folder, f"every picture by {one} equals that by {other}; leave one of the two out."
+            )
 
 
 Files = dict[str, dict[str, list[pathlib.Path]]]

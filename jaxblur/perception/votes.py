@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import io
 import math
 import pathlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,6 +17,9 @@ Counts = Int[np.ndarray, "rounds stimuli stimuli"]
 
 COLUMNS = ("study", "observer", "group", "trial", "scene", "first", "second", "chosen", "catch")
 """Columns that a file of votes must have; see `read_votes`."""
+NAMED = ("study", "observer", "trial", "scene", "first", "second")
+"""Columns in which no vote is empty."""
+SAVED = "give a file that the page of `jaxblur study` saved."
 MOST_BYTES = 50_000_000
 
 
@@ -116,33 +120,37 @@ def read_votes(paths: Iterable[str | pathlib.Path], least_right: float = 0.8) ->
 def _rows(path: pathlib.Path) -> list[dict[str, str]]:
     """The lines of a file of votes."""
     if not path.is_file():
-        raise JaxblurIOError(path, "is a folder." if path.is_dir() else "no such file.")
+        what = "is a folder" if path.is_dir() else "no such file"
+        raise JaxblurIOError(path, f"{what}; {SAVED}")
     try:
         if path.stat().st_size > MOST_BYTES:
             raise JaxblurIOError(path, "is too large for a file of votes.")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise JaxblurIOError(
-                    path,
-                    f"has no column {', '.join(missing)}; give what the page of `jaxblur study` "
-                    "saved.",
-                )
-            rows = list(reader)
+        text = path.read_text(encoding="utf-8-sig")
+        if "\0" in text:
+            raise JaxblurIOError(path, f"is no text; {SAVED}")
+        reader = csv.DictReader(io.StringIO(text))
+        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise JaxblurIOError(path, f"has no column {', '.join(missing)}; {SAVED}")
+        rows = list(reader)
     except UnicodeDecodeError as error:
-        raise JaxblurIOError(path, "is no text; give what the study page saved.") from error
+        raise JaxblurIOError(path, f"is no text; {SAVED}") from error
     except (OSError, csv.Error) as error:
         raise JaxblurIOError(path, f"cannot be read as CSV: {error}.") from error
     for number, row in enumerate(rows, start=2):
-        if any(row[name] is None for name in COLUMNS):
-            raise JaxblurIOError(path, f"line {number} is cut off.")
-        if row["first"] == row["second"] or row["chosen"] not in (row["first"], row["second"]):
-            given = printable(row["chosen"])
-            raise JaxblurIOError(
-                path, f"line {number}: {given!r} is none of the two that were shown."
-            )
+        _check_vote(path, number, row)
     return rows
+
+
+def _check_vote(path: pathlib.Path, number: int, row: Mapping[str, str | None]) -> None:
+    """Reject a line of a file of votes that is no vote."""
+    if any(row[name] is None for name in COLUMNS):
+        raise JaxblurIOError(path, f"line {number} is cut off.")
+    if empty := [name for name in NAMED if not (row[name] or "").strip()]:
+        raise JaxblurIOError(path, f"line {number} has no {', '.join(empty)}; {SAVED}")
+    if row["first"] == row["second"] or row["chosen"] not in (row["first"], row["second"]):
+        given = printable(row["chosen"])
+        raise JaxblurIOError(path, f"line {number}: {given!r} is none of the two that were shown.")
 
 
 def _right_answers(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
@@ -159,24 +167,26 @@ def _votes(rows: Sequence[Mapping[str, str]], left_out: Mapping[str, float]) -> 
     plain = [row for row in rows if not row["catch"]]
     names = tuple(dict.fromkeys(name for row in plain for name in (row["first"], row["second"])))
     place = {name: index for index, name in enumerate(sorted(names))}
-    rounds: dict[tuple[str, str, int], np.ndarray] = {}
+    # By preferred and other stimulus: files of many names would fill the memory with tables.
+    rounds: dict[tuple[str, str, int], list[tuple[int, int]]] = {}
     groups: dict[str, str] = {}
     times: dict[tuple[str, str, frozenset[str]], int] = {}
     for row in plain:
         pair = (row["observer"], row["scene"], frozenset((row["first"], row["second"])))
         times[pair] = times.get(pair, 0) + 1
-        shape = (len(names), len(names))
-        votes = rounds.setdefault((*pair[:2], times[pair]), np.zeros(shape, int))
         other = row["second"] if row["chosen"] == row["first"] else row["first"]
-        votes[place[row["chosen"]], place[other]] += 1
+        votes = rounds.setdefault((*pair[:2], times[pair]), [])
+        votes.append((place[row["chosen"]], place[other]))
         groups[row["observer"]] = row["group"]
     whole = math.comb(len(names), 2)
-    done = {key: votes for key, votes in rounds.items() if votes.sum() == whole}
+    done = {key: votes for key, votes in rounds.items() if len(votes) == whole}
     unfinished: dict[str, int] = {}
     for (observer, *_), votes in rounds.items():
-        if votes.sum() != whole:
-            unfinished[observer] = unfinished.get(observer, 0) + int(votes.sum())
-    counts = np.array(list(done.values()), int).reshape(-1, len(names), len(names))
+        if len(votes) != whole:
+            unfinished[observer] = unfinished.get(observer, 0) + len(votes)
+    counts = np.zeros((len(done), len(names), len(names)), int)
+    for table, votes in zip(counts, done.values(), strict=True):
+        table[tuple(np.transpose(votes))] = 1
     observers = tuple(observer for observer, _, _ in done)
     return Votes(
         tuple(place), counts, observers, tuple(groups[o] for o in observers), left_out, unfinished

@@ -8,7 +8,8 @@ linear rule for each candidate and number of samples,
 with constants from experiments/005_what_a_scene_needs, stored in ``constants.json`` with
 the command that made them, the scenes, and the error of the rule on scenes left out. A loss is a
 difference of PSNR over the pixels that motion reaches, after the display transform, against
-`layered` at 35 samples.
+`layered` at 35 samples. A rule that gives less than 0 counts as 0: beyond the scenes that it was
+derived from it is a guess, and no gain is promised on a guess.
 """
 
 import dataclasses
@@ -39,7 +40,7 @@ class Plan:
         settings: of the run.
         parameters: of the filter, None if it has none.
         reason: why, in one sentence.
-        loss: expected loss in dB against the full filter; negative is a gain.
+        loss: expected loss in dB against the full filter, at least 0.
         spread: standard error of that expectation on scenes that it was not derived from, dB.
         milliseconds: expected time on the machine that the constants were measured on, divided by
             `machine_speed` of `plan`.
@@ -155,7 +156,7 @@ def _predict(statistics: FrameStatistics, machine_speed: float) -> list[_Candida
         _Candidate(
             label,
             record,
-            float(np.dot(record["loss"], statistics.features)),
+            max(0.0, float(np.dot(record["loss"], statistics.features))),
             record["spread"],
             record["milliseconds_per_megapixel"] * megapixels / machine_speed,
         )

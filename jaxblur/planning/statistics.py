@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..filters.tiles import fastest_pixels, tile_max, tile_variance
+from ..filters.tiles import fastest_pixels, neighbor_max, tile_max, tile_variance
 from ..frame import Frame, check_frame
 from ..vectors import speed_statistics
 
@@ -29,8 +29,9 @@ class FrameStatistics:
         fast_speed: half-spread in pixels that one pixel in a hundred exceeds.
         radius: the largest half-spread in pixels, rounded up.
         moving_tiles: share of tiles with a half-spread above half a pixel.
-        angular_variance: mean over moving tiles of `jaxblur.tile_variance`, 0 (aligned) to 1; of
-            the tiles' own maxima, where pass 12 of guertin2014 takes those of their neighborhoods.
+        angular_variance: mean of `jaxblur.tile_variance`, 0 (aligned) to 1, over the tiles that
+            guertin2014 blurs: of the fastest velocities of neighborhoods (NeighborMax), as in its
+            pass 12 [Guertin et al. 2014, eq. 3.2].
         layered_tiles: share of the moving tiles that hold a pixel of another velocity and
             depth than their fastest one.
     """
@@ -77,6 +78,7 @@ def frame_statistics(frame: Frame) -> FrameStatistics:
         )
     radius = speeds.suggested_radius
     tiles = np.asarray(tile_max(velocity, radius))
+    dominant = np.asarray(neighbor_max(tiles))
     moving = _speed(tiles) > MOVING
     return FrameStatistics(
         pixels=depth.size,
@@ -84,7 +86,7 @@ def frame_statistics(frame: Frame) -> FrameStatistics:
         fast_speed=speeds.percentiles[99.0],
         radius=radius,
         moving_tiles=float(moving.mean()),
-        angular_variance=_mean_where(moving, tile_variance(tiles)),
+        angular_variance=_mean_where(_speed(dominant) > MOVING, tile_variance(dominant)),
         layered_tiles=_mean_where(moving, _layered(velocity, depth, radius)),
     )
 

@@ -4,15 +4,19 @@ The rules are those of ``jaxblur/vectors/README.md``. Each is measured on two co
 three for vectors to both sides): a point moves by its vector to where the other frame shows it.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from .convert import Displacements
 from .rank import SAMPLE_LIMIT, compressed, differences
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 Outcome = Literal["holds", "fails", "undecided"]
 
@@ -133,46 +137,81 @@ def _side(
         return float(np.mean(np.where(np.isnan(found), still, found)))
 
     rest = float(np.mean(still))
-    for axis, rule in enumerate(("V2 right", "V3 down")):
-        add(_direction(rule, axis, taken, error, rest))
-    add(_length(taken, error, rest))
+    scale = _best_scale(taken, error)
+    left = error(taken * scale)
+    crossed = error(taken[:, ::-1] * _best_scale(taken[:, ::-1], error))
+    if left > LEFT * rest or crossed < left - CLEAR * (rest - left):
+        # What agrees in no direction and at no length says nothing about either.
+        add(_disagreement(left, crossed, rest))
+        scale = np.ones(2)
+    else:
+        for axis, rule in enumerate(("V2 right", "V3 down")):
+            add(_direction(rule, axis, taken, scale, error, rest))
+        add(_length(taken, scale, error, rest))
     add(_at_rest(motion, here, there))
     add(_one_surface(motion))
     if depth is not None:
-        add(_in_front(motion, depth, here, there))
+        add(_in_front(motion * scale, depth, here, there))
     return findings
 
 
-def _direction(rule: str, axis: int, vectors: np.ndarray, error: Error, rest: float) -> Found:
+def _best_scale(vectors: np.ndarray, error: Error) -> np.ndarray:
+    """The factors of x and y, of one length but of any sign, with which the frames agree best."""
+    signs = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
+    tried = [factor * sign for factor in 2.0 ** np.arange(-3, 3.01, 0.5) for sign in signs]
+    best = min(tried, key=lambda scale: error(vectors * scale))
+    for step in (0.25, 0.1, 0.04, 0.015):
+        tried = [best * (1 + step * k) for k in (0, -2, -1, 1, 2)]
+        best = min(tried, key=lambda scale: error(vectors * scale))
+    return best
+
+
+def _disagreement(left: float, crossed: float, rest: float) -> Found:
+    """V4 of vectors that explain the motion less than the same with x and y exchanged, or not."""
+    if crossed < min(left, LEFT * rest):
+        words = f"with x and y exchanged the frames agree better (error {crossed:.4f}, else "
+        words += f"{left:.4f} of {rest:.4f} at rest): likely channels in another order"
+    else:
+        words = f"in no direction and at no length do the frames agree (error {left:.4f} of "
+        words += f"{rest:.4f} at rest): likely frames that are not beside each other, or channels "
+        words += "of something else"
+    return "V4 length", "fails", words
+
+
+def _direction(
+    rule: str, axis: int, vectors: np.ndarray, scale: np.ndarray, error: Error, rest: float
+) -> Found:
     """V2 and V3: the vectors point right and down, and not the other way."""
-    own, letter = error(vectors), "xy"[axis]
-    other = error(vectors * np.where(np.arange(2) == axis, -1, 1))
+    letter, flipped = "xy"[axis], scale * np.where(np.arange(2) == axis, -1, 1)
+    best, worse = error(vectors * scale), error(vectors * flipped)
+    own, other = (best, worse) if scale[axis] > 0 else (worse, best)
     words = f"error {own:.4f}, with {letter} reversed {other:.4f}, at rest {rest:.4f}"
-    best = min(own, other)
-    if best >= rest or abs(other - own) <= CLEAR * (rest - best):
+    if worse - best <= CLEAR * (rest - best):
         return rule, "undecided", words
-    if own < other:
+    if scale[axis] > 0:
         return rule, "holds", words
+    if np.all(scale < 0):
+        return (
+            rule,
+            "fails",
+            (
+                f"{words}: x and y both point the other way: likely frames are exchanged, or the "
+                "vectors lead to the other neighbor"
+            ),
+        )
     return rule, "fails", f"{words}: {letter} points the other way"
 
 
-def _length(vectors: np.ndarray, error: Error, rest: float) -> Found:
-    """V4: as long as the motion over one frame."""
-    factors = 2.0 ** np.arange(-3, 3.01, 0.5)
-    best = min(factors, key=lambda factor: error(vectors * factor))
-    for step in (0.25, 0.1, 0.04, 0.015):
-        tried = best * (1 + step * np.arange(-2, 3))
-        best = min(tried, key=lambda factor: error(vectors * factor))
-    left = error(vectors * best)
-    if left > LEFT * rest:
-        words = (
-            f"at no length do the frames agree (error {left:.4f} of {rest:.4f}): other frames, "
-            "other channels, a wrong direction, or vectors of another frame"
-        )
-        return "V4 length", "fails", words
+def _length(vectors: np.ndarray, scale: np.ndarray, error: Error, rest: float) -> Found:
+    """V4: as long as the motion over one frame, in the direction that agrees best."""
+    best, left = abs(float(scale[0])), error(vectors * scale)
     words = f"{best:.2f} times as long agrees best; error {left:.4f} of {rest:.4f}"
     if abs(best - 1) <= LENGTH:
         return "V4 length", "holds", words
+    frames = round(best)
+    if frames > 1 and abs(best - frames) <= LENGTH * frames:
+        words += f": likely frames are left out (the other one is {frames} away)"
+        return "V4 length", "fails", f"{words}, or another unit"
     return "V4 length", "fails", f"{words}: another unit, or another span of time"
 
 

@@ -1,12 +1,17 @@
 """Convert raw vectors to displacements, and displacements to half-spreads and paths."""
 
+from __future__ import annotations
+
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from .guess import Guess
 from .presets import Preset
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclasses.dataclass(frozen=True)

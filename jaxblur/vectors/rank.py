@@ -5,17 +5,21 @@ of a frame in the next one. The next frame is read at these positions and compar
 under the right candidate the two agree on moving pixels.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from .guess import find_channels
 from .presets import PRESETS, Preset, Scale, VectorPair
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Units of raw values: the name that users see, and the corresponding `Preset.scale`.
 UNITS: dict[str, Scale] = {

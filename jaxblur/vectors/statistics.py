@@ -1,11 +1,16 @@
 """Statistics of the vectors of a frame, for listings and for the choice of a radius."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 RADIUS_STEP = 5

@@ -13,7 +13,7 @@ from jaxblur.settings import Settings
 from ..arguments import (
     CommandError,
     add_command,
-    check_folder,
+    check_parent,
     file_path,
     one_of,
     positive_integer,
@@ -173,9 +173,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise CommandError(f"{arguments.output}: results are CSV; change the extension.")
     for output in (arguments.output, arguments.table):
         if output is not None:
-            check_folder(output.parent)
-            if not output.parent.is_dir():
-                raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+            check_parent(output)
     if not (arguments.frames or arguments.scene or arguments.compare):
         raise CommandError("give frames, --scene NAME, or --compare OLD.csv.")
     if arguments.truth and len(arguments.truth) != len(arguments.frames):

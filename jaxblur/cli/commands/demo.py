@@ -70,7 +70,6 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import scenes
 
     scene = make_scene(arguments.scene)
-    folder.mkdir(parents=True, exist_ok=True)
     frame = scenes.render(scene, 0.0, SHUTTER, arguments.size, path=True)
     LOG.info("truth: the mean of %d images", TRUTH_SAMPLES)
     truth = np.asarray(scenes.accumulate(scene, 0.0, SHUTTER, TRUTH_SAMPLES, arguments.size))
@@ -78,6 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
     blurred = apply_filter(name, frame, {}, filter_info(name).settings)
 
     notes = {"jaxblur:version": jaxblur.__version__, "jaxblur:scene": arguments.scene}
+    # Not before: an interruption while scene and filter compile leaves no empty folder.
+    folder.mkdir(parents=True, exist_ok=True)
     exr.write_frame(images["sharp"], frame, SHUTTER, attributes=notes)
     exr.write_image(images["truth"], truth, attributes=notes)
     exr.write_image(

@@ -15,8 +15,8 @@ from ..arguments import (
     CommandError,
     add_command,
     add_compute_options,
-    check_folder,
     check_outputs,
+    check_parent,
     describe_presets,
     from_zero,
     positive_integer,
@@ -342,9 +342,7 @@ def _check_output(arguments: argparse.Namespace, inputs: Sequence[pathlib.Path])
     for path in inputs:
         exr.inspect(path)
     check_outputs([output], arguments.overwrite)
-    check_folder(output.parent)
-    if not output.parent.is_dir():
-        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
+    check_parent(output)
 
 
 def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path]) -> tuple[Any, Any]:

@@ -13,8 +13,8 @@ from ..arguments import (
     CommandError,
     add_command,
     add_compute_options,
-    check_folder,
     check_outputs,
+    check_parent,
     file_path,
     positive_number,
 )
@@ -74,13 +74,15 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the page; see `add_parser`."""
+    from jaxblur.sequence import has_frame_number
+
     output: pathlib.Path = arguments.output
     if output.suffix.lower() not in (".html", ".htm"):
         raise CommandError(f"{output}: can write .html only; change the extension.")
-    if not output.parent.is_dir():
-        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
-    check_folder(output.parent)
+    check_parent(output)
     check_outputs([output], arguments.overwrite)
+    if has_frame_number(arguments.input):
+        raise CommandError(f"{arguments.input}: a page has one frame; give the file of one.")
     name, parameters, settings = complete(arguments, read_fitted(arguments))
     buffers = sources.read(arguments)
     report_ignored(arguments.input, buffers.ignored)

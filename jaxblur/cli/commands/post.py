@@ -44,9 +44,8 @@ def add_parser(commands: Any) -> None:
     group.add_argument("--depth-from", type=file_path, metavar="FILE")
     group.add_argument(
         "--depth",
-        default="z",
         metavar="KIND",
-        help="z, 1/z, --depth=-z or --depth=-1/z (default %(default)s)",
+        help="z, 1/z, --depth=-z or --depth=-1/z (default z)",
     )
     add_compute_options(parser)
 
@@ -56,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import exr
 
     posts.check(arguments)
+    _check_depth(arguments)
     check_output(arguments.output)
     jobs = _jobs(arguments)
     for source, depth, output in jobs:
@@ -70,6 +70,22 @@ def run(arguments: argparse.Namespace) -> int:
     for index in track(list(range(len(jobs))), "post"):
         _run_one(arguments, *jobs[index])
     return 0
+
+
+def _check_depth(arguments: argparse.Namespace) -> None:
+    """Reject options for depth where nothing looks at it.
+
+    Raises:
+        CommandError: an option is left over.
+    """
+    if posts.needs_depth(arguments):
+        return
+    for option in ("depth", "depth_from", "depth_channel"):
+        if getattr(arguments, option) is not None:
+            raise CommandError(
+                f"--{option.replace('_', '-')}: --do {','.join(arguments.posts)} looks at no depth"
+                f"; only {' and '.join(sorted(posts.NEEDS_DEPTH))} do; leave it out."
+            )
 
 
 def _jobs(arguments: argparse.Namespace) -> list[tuple[pathlib.Path, pathlib.Path, pathlib.Path]]:
@@ -100,7 +116,10 @@ def _run_one(
     distance = None
     if posts.needs_depth(arguments):
         distance = exr.read_depth(
-            depth, arguments.depth, layer=arguments.layer, depth_channel=arguments.depth_channel
+            depth,
+            arguments.depth or "z",
+            layer=arguments.layer,
+            depth_channel=arguments.depth_channel,
         )
         if distance.shape != color.shape[:2]:
             (rows, columns), (height, width) = distance.shape, color.shape[:2]

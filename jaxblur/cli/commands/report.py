@@ -10,8 +10,8 @@ from jaxblur._util.atomic import replacing
 from ..arguments import (
     CommandError,
     add_command,
-    check_folder,
     check_outputs,
+    check_parent,
     file_path,
     positive_number,
 )
@@ -51,9 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output
     if output.suffix.lower() not in (".html", ".htm"):
         raise CommandError(f"{output}: can write .html only; change the extension.")
-    if not output.parent.is_dir():
-        raise CommandError(f"{output}: no folder {output.parent}; create it first.")
-    check_folder(output.parent)
+    check_parent(output)
     check_outputs([output], arguments.overwrite)
     write_page(arguments.input, output, arguments.max_megabytes, arguments.view)
     print_line(output)

@@ -6,6 +6,7 @@ import logging
 import pathlib
 import re
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jaxblur
@@ -22,7 +23,8 @@ from ..arguments import (
     positive_integer,
 )
 from ..compute import start_jax
-from ..console import print_line, print_table, track
+from ..console import print_line, print_table
+from ..progress import Stages, stages
 from ..shutter import add_exposure, add_fps
 from . import scene_smoke
 
@@ -88,10 +90,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError(f"--shutter must be above 0, got {arguments.shutter:g}.")
     check_folder(arguments.output)
     is_smoke = arguments.name == scene_smoke.NAME
-    if arguments.layers and not is_smoke:
-        raise CommandError(
-            f"--layers: only {scene_smoke.NAME} has layers, {arguments.name} has none."
-        )
     kinds = [""] + ["_id"] * arguments.ids + ["_truth"] * arguments.truth
     kinds = scene_smoke.kinds(arguments) if is_smoke else kinds
     check_outputs(
@@ -100,35 +98,60 @@ def run(arguments: argparse.Namespace) -> int:
     )
     height, width = arguments.size
     start_jax(not arguments.no_compile_cache)
-    scene = None if is_smoke else make_scene(arguments.name)
+    scene = None if is_smoke else make_scene(arguments.name, (scene_smoke.NAME,))
+    if arguments.layers and not is_smoke:
+        raise CommandError(
+            f"--layers: only {scene_smoke.NAME} has layers, {arguments.name} has none."
+        )
     LOG.info("%s at %dx%d; the first frame compiles the scene", arguments.name, width, height)
-    arguments.output.mkdir(parents=True, exist_ok=True)
-    for frame in track(arguments.frames, arguments.name):
-        started = time.perf_counter()
-        if is_smoke:
-            paths = {kind: _path(arguments, kind, frame) for kind in kinds}
-            scene_smoke.write_smoke(arguments, paths, frame, _notes(arguments, frame))
-        else:
-            _write_frame(scene, arguments, frame)
-        print_line(_path(arguments, "", frame))
-        LOG.info("frame %d ok %.2f s", frame, time.perf_counter() - started)
+    count = len(arguments.frames)
+    with stages() as show:
+        for done, number in enumerate(arguments.frames):
+            show.stage("rendering", done, count)
+            started = time.perf_counter()
+            _make_frame(scene, arguments, number, show)
+            print_line(_path(arguments, "", number))
+            LOG.info("frame %d ok %.2f s", number, time.perf_counter() - started)
+        show.stage("rendering", count, count)
     return 0
 
 
-def make_scene(name: str) -> Any:
+def _make_frame(scene: Any, arguments: argparse.Namespace, number: int, show: Stages) -> None:
+    """Render and write one frame, of smoke if there is no other scene."""
+
+    def tell(what: str) -> None:
+        show.detail(f"frame {number}: {what}")
+
+    def file(kind: str) -> pathlib.Path:
+        # Made with the first file: what ends earlier leaves no empty folder.
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        return _path(arguments, kind, number)
+
+    notes = _notes(arguments, number)
+    if scene is None:
+        scene_smoke.write_smoke(arguments, file, number, notes, tell)
+    else:
+        _write_frame(scene, arguments, file, number, notes, tell)
+
+
+def make_scene(name: str, more: tuple[str, ...] = ()) -> Any:
     """Build a scene of the catalogue.
+
+    Args:
+        name: of the scene.
+        more: names outside the catalogue that the command knows too, for the message.
 
     Raises:
         CommandError: no scene has that name.
     """
     from jaxblur.scenes import SCENES
 
-    check_scene(name)
+    check_scene(name, more)
     return SCENES[name]()
 
 
-def check_scene(name: str) -> None:
-    """Reject a name that is not in the catalogue.
+def check_scene(name: str, more: tuple[str, ...] = ()) -> None:
+    """Reject a name that is not in the catalogue; see `make_scene`.
 
     Raises:
         CommandError: no scene has that name.
@@ -136,8 +159,9 @@ def check_scene(name: str) -> None:
     from jaxblur.scenes import SCENES
 
     if name not in SCENES:
+        known = (*SCENES, *more)
         raise CommandError(
-            f"no scene {name!r}{did_you_mean(name, SCENES)}; there are {', '.join(SCENES)}."
+            f"no scene {name!r}{did_you_mean(name, known)}; there are {', '.join(known)}."
         )
 
 
@@ -177,19 +201,28 @@ def _notes(arguments: argparse.Namespace, number: int) -> dict[str, str | float]
     }
 
 
-def _write_frame(scene: Any, arguments: argparse.Namespace, number: int) -> None:
+def _write_frame(
+    scene: Any,
+    arguments: argparse.Namespace,
+    file: Callable[[str], pathlib.Path],
+    number: int,
+    notes: Mapping[str, str | float],
+    tell: Callable[[str], None],
+) -> None:
+    """Render and write one frame; the arguments are those of `scene_smoke.write_smoke`."""
     import numpy as np
 
     from jaxblur import exr, scenes
 
     shutter, size = arguments.shutter, arguments.size
-    notes = _notes(arguments, number)
     if arguments.truth:
+        tell(f"truth, the mean of {arguments.truth_samples} images")
         truth = np.asarray(scenes.accumulate(scene, number, shutter, arguments.truth_samples, size))
         samples = {"jaxblur:samples": arguments.truth_samples}
-        exr.write_image(_path(arguments, "_truth", number), truth, attributes=notes | samples)
+        exr.write_image(file("_truth"), truth, attributes={**notes, **samples})
     if arguments.ids:
         ids = np.asarray(scenes.object_ids(scene, number, size))
-        exr.write_channels(_path(arguments, "_id", number), {"id": ids}, attributes=notes)
+        exr.write_channels(file("_id"), {"id": ids}, attributes=notes)
+    tell("sharp")
     sharp = scenes.render(scene, number, shutter, size, path=True)
-    exr.write_frame(_path(arguments, "", number), sharp, shutter, attributes=notes)
+    exr.write_frame(file(""), sharp, shutter, attributes=notes)

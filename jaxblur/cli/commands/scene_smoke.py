@@ -2,7 +2,7 @@
 
 import argparse
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from ..arguments import CommandError
 
@@ -34,17 +34,19 @@ def kinds(arguments: argparse.Namespace) -> list[str]:
 
 def write_smoke(
     arguments: argparse.Namespace,
-    paths: Mapping[str, pathlib.Path],
+    file: Callable[[str], pathlib.Path],
     number: int,
-    notes: Mapping[str, str | int | float],
+    notes: Mapping[str, str | float],
+    tell: Callable[[str], None],
 ) -> None:
     """Render and write one frame.
 
     Args:
         arguments: of the command.
-        paths: the file of each of `kinds`.
+        file: gives the file of each of `kinds`, in a folder that exists.
         number: of the frame.
         notes: metadata of every file.
+        tell: is told what is rendered next.
     """
     import numpy as np
 
@@ -53,11 +55,13 @@ def write_smoke(
     scene, shutter, size = scenes.ball_in_smoke(), arguments.shutter, arguments.size
     if arguments.truth:
         samples = arguments.truth_samples
+        tell(f"truth, the mean of {samples} images, each with smoke of its own time")
         truth = np.asarray(scenes.accumulate_smoke(scene, number, shutter, samples, size))
-        attributes = {**notes, "jaxblur:samples": samples}
-        exr.write_image(paths["_truth"], truth, attributes=attributes)
+        exr.write_image(file("_truth"), truth, attributes={**notes, "jaxblur:samples": samples})
+    tell("layers")
     layers = scenes.smoke_layers(scene, number, shutter, size, layers=arguments.layers or LAYERS)
     for k, layer in enumerate(layers.frames, start=1):
-        exr.write_frame(paths[f"_layer{k}"], layer, shutter, attributes=notes)
+        exr.write_frame(file(f"_layer{k}"), layer, shutter, attributes=notes)
+    tell("flat frame")
     flat = scenes.render_smoke(scene, number, shutter, size)
-    exr.write_frame(paths[""], flat, shutter, attributes=notes)
+    exr.write_frame(file(""), flat, shutter, attributes=notes)

@@ -10,8 +10,8 @@ from jaxblur._util.atomic import replacing
 from ..arguments import (
     CommandError,
     add_command,
-    check_folder,
     check_outputs,
+    check_parent,
     file_path,
     positive_integer,
     positive_number,
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output
     if output.suffix.lower() not in (".html", ".htm"):
         raise CommandError(f"{output}: can write .html only; change the extension.")
-    check_folder(output.parent)
+    check_parent(output)
     check_outputs([output], arguments.overwrite)
     names = ("title", "question", "repeats", "catch", "side_by_side", "seconds", "max_megabytes")
     given = {name: getattr(arguments, name) for name in names} | {"fps": arguments.rate}

@@ -52,14 +52,24 @@ def run(arguments: argparse.Namespace) -> int:
         ) from None
     if arguments.json:
         found = {"preset": buffers.guess.preset.name, "channels": list(buffers.guess.channels)}
-        print(json.dumps(found | {"rules": [dataclasses.asdict(f) for f in findings]}, indent=2))
+        rules = [dataclasses.asdict(f) | {"required": f.required} for f in findings]
+        print(json.dumps(found | {"rules": rules}, indent=2))
     else:
         channels = ", ".join(buffers.guess.channels)
         print_line(f"{channels} as preset {buffers.guess.preset.name}, {buffers.depth_kind} depth")
-        rows = [dataclasses.astuple(finding) for finding in findings]
+        rows = [(f.rule, f.side, _word(f), f.found) for f in findings]
         print_table(("rule", "to", "", "found"), rows)
         print_line(_verdict(findings))
     return 0 if _decided(findings) and not _failed(findings) else 1
+
+
+def _word(finding: Any) -> str:
+    """The outcome; what does not follow advice does not fail."""
+    return "not followed" if _ignores_advice(finding) else finding.outcome
+
+
+def _ignores_advice(finding: Any) -> bool:
+    return finding.outcome == "fails" and not finding.required
 
 
 def _failed(findings: Any) -> list[str]:
@@ -81,7 +91,7 @@ def _verdict(findings: Any) -> str:
         return f"does not keep the convention: {', '.join(failed)}"
     if not _decided(findings):
         return "inconclusive: give frames in which textured things move both across and down"
-    advice = {finding.rule for finding in findings if finding.outcome == "fails"}
+    advice = {finding.rule for finding in findings if _ignores_advice(finding)}
     return "keeps the convention" + (
         f"; advice not followed: {', '.join(advice)}" if advice else ""
     )

@@ -230,7 +230,7 @@ class MapsRead(NamedTuple):
 
 
 def state_of_pixel(at: At, images: MapsRead, _: None, drawing: Drawing) -> Outcome:
-    """What there is to do at a pixel, see `states_of`."""
+    """What there is to do at a pixel: whether it rests, moves, or also lacks an owner."""
     marks = [
         images.owners.read(k * images.paths.height + at.row, at.column)[0]
         for k in range(drawing.maps.total)

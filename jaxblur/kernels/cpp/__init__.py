@@ -8,17 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..._util.compiler import NO_COMPILER, find_compiler, loads_kernels
 from ..keys import key_of
 from ..tracing import Grid, Stages
-from .build import (
-    BuildFailed,
-    Known,
-    find_compiler,
-    find_known,
-    keep_kernels,
-    keep_known,
-    register,
-)
+from .build import BuildFailed, Known, find_known, keep_kernels, keep_known, register
 from .emit import Kernel, Operands, emit_gather, emit_marks, emit_pull
 from .values import Unsupported
 
@@ -156,8 +149,10 @@ def _build(
     """
     if backend == "xla":
         return None
+    if not loads_kernels():
+        return _refuse(backend, "native code runs on Linux and macOS only")
     if find_compiler() is None:
-        return _refuse(backend, "there is no C++ compiler")
+        return _refuse(backend, NO_COMPILER, warn=jax.default_backend() == "cpu")
     try:
         known = find_known(key)
         if known is None:
@@ -167,21 +162,22 @@ def _build(
     except Unsupported as error:
         return _refuse(backend, f"the program uses {error}")
     except BuildFailed as error:
-        _warn_once(f"{error}; XLA does its work, several times as slow")
-        return _refuse(backend, str(error))
+        return _refuse(backend, str(error), warn=True)
     return _caller(known, grid, lengths, element)
 
 
-def _refuse(backend: str, reason: str) -> None:
+def _refuse(backend: str, reason: str, warn: bool = False) -> None:
     """Say why XLA does the work instead, or fail if the caller insists on native code."""
     if backend == "native":
         raise ValueError(f"`backend` is 'native', but {reason}; use 'auto' or 'xla'.")
-    LOG.info("no native kernel: %s", reason)
+    if warn:
+        _warn_once(f"{reason}; XLA does the work, several times as slow")
+    else:
+        LOG.info("no native kernel: %s", reason)
 
 
 @functools.cache
 def _warn_once(message: str) -> None:
-    """A compiler that is there and fails is a fault, unlike one that is missing."""
     LOG.warning("%s", message)
 
 

@@ -9,26 +9,26 @@ import json
 import logging
 import os
 import pathlib
-import platform
 import shutil
-import signal
 import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jaxlib.version
 
 from ..._util.cache import (
+    BUILDING,
     UnsafeFolderError,
     checksum_file,
-    is_own_file,
+    is_intact,
+    own_bytes,
     private_folder,
     trim_cache,
 )
+from ..._util.compiler import NO_COMPILER, ZIG_CACHES, find_compiler, machine_words, run_command
 
 LOG = logging.getLogger("jaxblur")
 FLAGS = (
@@ -49,9 +49,6 @@ TIME_LIMIT = 300
 LEFT_OVER = 2 * len(MACHINE_FLAGS) * TIME_LIMIT
 """Seconds after which a folder of a compilation belongs to a process that was killed."""
 
-BUILDING = "building_"
-"""How names of folders of compilations begin."""
-
 _ONE_AT_A_TIME = threading.Lock()
 _keeps_kernels = True
 _said = False
@@ -65,68 +62,9 @@ class BuildFailed(Exception):
 
 
 @functools.cache
-def find_compiler() -> str | None:
-    """Path of a C++ compiler, None where there is none or where kernels cannot be loaded."""
-    if platform.system() not in ("Linux", "Darwin"):
-        return None
-    return next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
-
-
-@functools.cache
 def _machine() -> str:
-    """The machine and the software that kernels are compiled for and by.
-
-    Computers that share a home folder, and versions of compilers, do not share kernels.
-    """
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
-        kinds = {line for line in lines if line.startswith(("flags", "Features", "model name"))}
-    except OSError:
-        kinds = {
-            platform.processor(),
-            *_words_of("sysctl", "machdep.cpu.brand_string", "hw.optional"),
-        }
-    compiler = find_compiler() or ""
-    versions = [
-        jax.__version__,
-        jaxlib.version.__version__,
-        compiler,
-        *_words_of(compiler, "--version"),
-    ]
-    return "\n".join([platform.machine(), *versions, *sorted(kinds)])
-
-
-def _words_of(*command: str) -> list[str]:
-    """The lines that a command prints; none if it fails or takes long."""
-    try:
-        done = _run(command, limit=10)
-    except (OSError, subprocess.SubprocessError):
-        return []
-    return done.stdout.splitlines()
-
-
-def _run(command: Sequence[str], limit: float) -> "subprocess.CompletedProcess[str]":
-    """Run a command; one that exceeds its time is ended together with the processes it started.
-
-    Raises:
-        subprocess.TimeoutExpired: it took more than ``limit`` seconds.
-    """
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as process:
-        try:
-            out, errors = process.communicate(timeout=limit)
-        except BaseException:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            raise
-    return subprocess.CompletedProcess(command, process.returncode, out, errors)
+    """The machine and the software that kernels are compiled for and by."""
+    return "\n".join([jax.__version__, jaxlib.version.__version__, *machine_words(find_compiler())])
 
 
 def _folder() -> pathlib.Path:
@@ -175,8 +113,11 @@ def _compile(source: str, library: pathlib.Path) -> None:
             refused again, and a compiler that takes too long is not asked again.
         OSError: the disk refused.
     """
-    compiler = find_compiler() or "c++"
-    for known in ((compiler, source), (compiler, "")):
+    compiler = find_compiler()
+    if compiler is None:
+        raise BuildFailed(NO_COMPILER)
+    name = " ".join(compiler.command)
+    for known in ((name, source), (name, "")):
         if known in _failures:
             raise _failures[known]
     _remove_left_over(library.parent)
@@ -184,17 +125,18 @@ def _compile(source: str, library: pathlib.Path) -> None:
         program = pathlib.Path(folder, "kernel.cc")
         program.write_text(source, encoding="utf-8")
         built = program.with_suffix(".so")
+        environment = os.environ | dict.fromkeys(ZIG_CACHES, folder)
         words = ""
         for machine in MACHINE_FLAGS:
-            command = [compiler, *_flags(), *machine, f"-I{jax.ffi.include_dir()}"]
-            command += ["-o", os.fspath(built), os.fspath(program), "-lm", "-lpthread"]
+            command = [*compiler.command, *_flags(), *compiler.flags, *machine]
+            command += [f"-I{jax.ffi.include_dir()}", "-o", os.fspath(built), os.fspath(program)]
             try:
-                done = _run(command, TIME_LIMIT)
+                done = run_command([*command, "-lm", "-lpthread"], TIME_LIMIT, environment)
             except subprocess.TimeoutExpired as error:
                 failure = BuildFailed(
-                    f"the C++ compiler {compiler} took more than {TIME_LIMIT} s for a kernel"
+                    f"the C++ compiler {name} took more than {TIME_LIMIT} s for a kernel"
                 )
-                _failures[compiler, ""] = failure
+                _failures[name, ""] = failure
                 raise failure from error
             if done.returncode == 0:
                 _keep(built, library)
@@ -203,8 +145,8 @@ def _compile(source: str, library: pathlib.Path) -> None:
                 return
             words = done.stderr
     error = _first_error(words)
-    failure = BuildFailed(f"the C++ compiler {compiler} refused a kernel: {error}")
-    _failures[compiler, source] = failure
+    failure = BuildFailed(f"the C++ compiler {name} refused a kernel: {error}")
+    _failures[name, source] = failure
     raise failure
 
 
@@ -219,29 +161,6 @@ def _keep(built: pathlib.Path, library: pathlib.Path) -> None:
             os.fsync(file.fileno())
     os.replace(checksum, checksum_file(library))
     os.replace(built, library)
-
-
-def _is_intact(library: pathlib.Path) -> bool:
-    """Whether a library is there, is as it was compiled, and nobody else can write it."""
-    try:
-        return hashlib.sha256(_own_bytes(library)).hexdigest() == _own_bytes(
-            checksum_file(library)
-        ).decode("ascii", "replace")
-    except OSError:
-        return False
-
-
-def _own_bytes(path: pathlib.Path) -> bytes:
-    """The contents of a file that only this user can write.
-
-    Raises:
-        OSError: there is no such file; links do not count.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with open(descriptor, "rb") as file:
-        if not is_own_file(os.fstat(descriptor)):
-            raise PermissionError(f"{path} is not a file of this user alone")
-        return file.read()
 
 
 def _remove_left_over(folder: pathlib.Path) -> None:
@@ -300,7 +219,7 @@ def _register(source: str) -> str:
     name = f"jaxblur_sum_{key}"
     library = _folder() / f"{name}.so"
     try:
-        if not _is_intact(library):
+        if not is_intact(library):
             _say_once()
             LOG.debug("%s", library)
             _compile(source.replace("@NAME@", name), library)
@@ -377,10 +296,10 @@ def find_known(key: str | None) -> Known | None:
         return None
     with _ONE_AT_A_TIME:
         try:
-            known = Known(*json.loads(_own_bytes(record)))
+            known = Known(*json.loads(own_bytes(record)))
             library = record.with_name(f"{known.target}.so")
             if known.target not in _loaded:
-                if not _is_intact(library):
+                if not is_intact(library):
                     return None
                 _load(known.target, library)
         except (OSError, ValueError, TypeError, AttributeError):

@@ -43,10 +43,10 @@ struct Job {
   int64_t table_sizes[TABLES + 1];
   Element* tables_of_part[MOST_PARTS_WITH_TABLES][TABLES + 1];
   int parts;
-  int next_part = 0, users = 1; /* changed by `count` alone */
-  pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
-  pthread_cond_t finished = PTHREAD_COND_INITIALIZER;
-  int parts_done = 0;
+  int next_part, users; /* changed by `count` alone */
+  pthread_mutex_t mutex;
+  pthread_cond_t finished;
+  int parts_done;
 };
 
 /* Results of the lanes that move; what is kept by the others. */
@@ -150,7 +150,7 @@ static void leave(Job* job) {
   if (count(&job->users, -1) > 1) return;
   pthread_cond_destroy(&job->finished);
   pthread_mutex_destroy(&job->mutex);
-  delete job;
+  free(job);
 }
 
 /* What a thread does. */
@@ -285,7 +285,7 @@ static void put_back(const XLA_FFI_Buffer*, void*, bool) {}
 static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
   XLA_FFI_Error_Create_Args arguments = {};
   arguments.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
-  arguments.message = "no memory for the derivatives of the sum over samples";
+  arguments.message = "no memory for the tables of a native kernel";
   arguments.errc = XLA_FFI_Error_Code_RESOURCE_EXHAUSTED;
   return api->XLA_FFI_Error_Create(&arguments);
 }
@@ -298,10 +298,15 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
     metadata->api_version.minor_version = XLA_FFI_API_MINOR;
     return nullptr;
   }
+  /* No `new`: a kernel needs no C++ library. */
+  Job* job = (Job*)calloc(1, sizeof(Job));
+  if (!job) return out_of_memory(frame->api);
+  job->users = 1;
+  pthread_mutex_init(&job->mutex, nullptr);
+  pthread_cond_init(&job->finished, nullptr);
   void* arguments[ARGUMENTS + 1];
   for (int k = 0; k < ARGUMENTS; ++k)
     arguments[k] = data_of((XLA_FFI_Buffer*)frame->args.args[k]);
-  Job* job = new Job;
   const int32_t* sizes = sizes_of(frame);
   job->height = sizes[0], job->width = sizes[1], job->sizes = sizes + 2;
   job->strip = TABLES ? 256 : job->width;
