@@ -76,9 +76,15 @@ def test_the_blur_itself_looks_through_a_lens(source, tmp_path):
     lens = Lens(4.0, 2.0, 200.0)
     expected = layered(frame, LayeredParameters(), settings=settings, lens=lens)
     np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
-    assert np.abs(expected - layered(frame, LayeredParameters(), settings=settings)).max() > 0.05
+    blurred = layered(frame, LayeredParameters(), settings=settings)
+    assert np.abs(expected - blurred).max() > 0.05
     assert "focus = 4" in notes(out)["jaxblur:lens"]
     assert "jaxblur:then" not in notes(out)
+    # With --then defocus the blur has no lens: nothing is defocused twice.
+    done("blur", source, "-o", tmp_path / "two.exr", *LAYERED, *LENS, "--then", "defocus")
+    in_turn = posts.defocus(frame.replace(color=blurred), lens, radius=32)
+    np.testing.assert_allclose(exr.read_image(tmp_path / "two.exr"), in_turn, atol=2e-3)
+    assert np.abs(in_turn - expected).max() > 0.05
     again = done("post", out, "-o", tmp_path / "again.exr", "--do", "defocus", *LENS)
     assert "has been through defocus before" in again.err
 

@@ -9,6 +9,7 @@ import pytest
 
 import jaxblur
 from jaxblur import Frame, LayeredParameters, Settings
+from jaxblur.noise import make_noise
 from jaxblur.posts import Lens, circle_of_confusion
 from tests.reference import layered_lens_loops
 
@@ -33,6 +34,10 @@ def moving_frame(seed=1):
     depth[7:16, 9:20] = 2.5
     velocity[7:16, 9:20] = 3.3, -1.2
     return frame.replace(depth=jnp.asarray(depth), velocity=jnp.asarray(velocity))
+
+
+def with_a_part_in_focus(frame):
+    return frame.replace(depth=frame.depth.at[:, 24:].set(FOCUS))
 
 
 def disc_blur(image, radius):
@@ -70,24 +75,23 @@ def test_a_plane_out_of_focus_is_blurred_by_its_disc():
 
 
 def test_discs_before_and_behind_the_focus_are_alike():
-    infinity = float(circle_of_confusion(still_frame(1e6), LENS)[0, 0])
-    near = FOCUS / 2
-    assert float(circle_of_confusion(still_frame(near), LENS)[0, 0]) == pytest.approx(-infinity)
+    far = 1e6
+    near = FOCUS / (2 - FOCUS / far)
+    radii = [float(circle_of_confusion(still_frame(z), LENS)[0, 0]) for z in (near, far)]
+    assert radii[0] == pytest.approx(-radii[1])
     settings = dataclasses.replace(SETTINGS, samples=600)
     before, behind = (
         through(still_frame(near), settings=settings),
-        through(still_frame(1e6), settings=settings),
+        through(still_frame(far), settings=settings),
     )
-    # The points of the lens are turned by half a turn, which leaves noise.
+    # The points of the lens are turned by half a turn, which leaves noise: 0.0115.
     error = np.asarray(before - behind)[4:-4, 4:-4]
-    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert np.sqrt(np.mean(error**2)) < 0.015
 
 
 def test_what_is_in_focus_and_at_rest_stays_bit_for_bit():
-    frame = moving_frame()
-    depth = np.array(frame.depth)
-    depth[:, 24:] = FOCUS
-    frame = frame.replace(depth=jnp.asarray(depth), velocity=jnp.zeros_like(frame.velocity))
+    frame = with_a_part_in_focus(moving_frame())
+    frame = frame.replace(velocity=jnp.zeros_like(frame.velocity))
     blurred = through(frame)
     assert np.array_equal(blurred[:, 24:], frame.color[:, 24:])
     assert not np.allclose(blurred[:, 3:20], frame.color[:, 3:20], atol=0.05)
@@ -134,18 +138,17 @@ def test_what_the_near_edge_uncovers_goes_on_beside_it():
 
 
 def test_the_loops_in_float64_agree():
-    frame = moving_frame()
-    noise = jaxblur.make_noise("ign", *SIZE)
+    frame = with_a_part_in_focus(moving_frame())
+    # What moves in focus crosses what rests there, at the same depth.
+    frame = frame.replace(velocity=frame.velocity.at[8:14, 26:].set(jnp.array([2.3, 1.4])))
+    noise = make_noise("ign", *SIZE)
     expected = layered_lens_loops.layered_through_lens(
         *(np.asarray(frame.color), np.asarray(frame.depth), np.asarray(frame.velocity)),
         *(dataclasses.asdict(PARAMETERS), dataclasses.asdict(SETTINGS)),
         (np.asarray(noise.tap), np.asarray(noise.tile)),
         (float(LENS.radius_at_infinity(SIZE[1])), FOCUS),
     )
-    error = np.abs(np.asarray(through(frame)) - expected)
-    # A guess within rounding of the middle between two texels may read the other one.
-    assert np.quantile(error, 0.99) < 1e-4
-    assert error.max() < 0.2
+    np.testing.assert_allclose(through(frame), expected, atol=2e-5)
 
 
 def smooth_frame():

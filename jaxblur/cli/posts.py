@@ -65,7 +65,12 @@ def add_options(
         type=positive_number,
         metavar="DEPTH",
         help="depth in focus, scene units"
-        + ("; without --then defocus the blur itself looks through the lens" if through else ""),
+        + (
+            "; blurs motion and defocus in one pass (--filter layered), unless --then defocus: "
+            "then motion alone, and defocus in a second pass"
+            if through
+            else ""
+        ),
     )
     group.add_argument(
         "--lens",

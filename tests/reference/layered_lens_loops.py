@@ -62,7 +62,12 @@ def owners_of(paths, discs, depth, radius, count, points):
             if 0 <= at[0] < height and 0 <= at[1] < width:
                 mark = level_of(depth[row, column], radius), down, right
                 found[at] = max(found.get(at, mark), mark)
-        maps.append({at: (at[0] - mark[1], at[1] - mark[2]) for at, mark in found.items()})
+        owners = {at: (at[0] - mark[1], at[1] - mark[2]) for at, mark in found.items()}
+        for at, mark in found.items():
+            rests = not (moves(paths[at]) or abs(discs[at]) > 0.5)
+            if rests and mark[0] <= level_of(depth[at], radius):
+                owners[at] = at
+        maps.append(owners)
     return maps
 
 
