@@ -87,8 +87,7 @@ def at_once(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, Any]
     if not filter_info(name).takes_lens:
         return {}
     return {
-        _joint(samples): blur(frame, name, frame.color, samples, lens=lens)
-        for samples in AT_ONCE
+        _joint(samples): blur(frame, name, frame.color, samples, lens=lens) for samples in AT_ONCE
     }
 
 
