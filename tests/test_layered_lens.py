@@ -236,5 +236,5 @@ def test_values_that_no_lens_has_are_rejected(lens, message):
 
 def test_what_is_no_lens_is_rejected():
     # The check itself: in these tests annotations are checked before it.
-    with pytest.raises(ValueError, match="`lens` must be a jaxblur.posts.Lens, got float"):
+    with pytest.raises(ValueError, match=r"`lens` must be a jaxblur\.posts\.Lens, got float"):
         check_lens_record(3.5)
