@@ -1,6 +1,7 @@
 """`layered` through a lens: motion and defocus in one pass."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -217,9 +218,10 @@ def test_neighbors_show_what_the_lens_uncovers():
 @pytest.mark.parametrize("name", ["guertin2014", "mcguire2012", "pixel_velocity"])
 def test_other_filters_reject_a_lens_by_name(name):
     info = jaxblur.filter_info(name)
+    call: Any = info.call
     assert not info.takes_lens
     with pytest.raises(TypeError, match=f"`lens`: {name} blurs by motion alone.*layered takes"):
-        info.call(still_frame(3.0), info.make_parameters(), lens=LENS)
+        call(still_frame(3.0), info.make_parameters(), lens=LENS)
 
 
 @pytest.mark.parametrize(

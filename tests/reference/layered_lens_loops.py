@@ -136,7 +136,7 @@ def layered_through_lens(color, depth, velocity, parameters, settings, noise, le
             place = in_cell(places[index], tile[at], i, count, parameters["jitter"])
             point, way = on_disc(*place), paths[owner]
             x, y = -t * way[:2] - own_t**2 * way[2:] - discs[owner] * point
-            where, counts = at_texel(*at, x, y, depth.shape, settings["border"])
+            where, counts = at_texel(at[0], at[1], x, y, depth.shape, settings["border"])
             there = t * paths[where][:2] + t * t * way[2:] + discs[where] * point
             miss, apart = there + np.array([x, y]), paths[where][:2] - way[:2]
             speed = parameters["own_tolerance"] ** 2 * (way[:2] @ way[:2] + 0.25)
