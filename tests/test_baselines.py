@@ -11,6 +11,8 @@ import jaxblur
 from jaxblur.kernels.cpp import build
 from tests.helpers import random_frame
 
+pytestmark = pytest.mark.slow
+
 experiment = importlib.import_module("experiments.001_published_filters.baselines")
 
 NAMES = sorted(file.stem for file in experiment.FOLDER.glob("*.py"))

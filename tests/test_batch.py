@@ -102,6 +102,7 @@ def test_some_frames_may_have_masks_and_others_not():
     assert np.abs(masked - whole).max() > 0.1, "the mask leaves something out"
 
 
+@pytest.mark.slow
 def test_some_frames_may_have_paths_and_others_not():
     frames, noise = mixed_frames()[2:], random_noise(SHAPE)
     loop = assert_equals_loop(jaxblur.layered, frames, [noise] * 2, noise)
@@ -112,6 +113,7 @@ def test_some_frames_may_have_paths_and_others_not():
     assert np.abs(straight - loop[0]).max() > 0.01, "the path does bend"
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_loop():
     frames, settings = some_frames(3), jaxblur.Settings(samples=2, radius=6)
     batch = stack(frames)

@@ -99,7 +99,7 @@ def _truth_of(frame):
     return frame.with_name(frame.name.replace("frame", "truth"))
 
 
-@pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity", "layered"])
+@pytest.mark.parametrize("name", ["mcguire2012", "pixel_velocity", slow("layered")])
 def test_other_filters_use_their_published_settings(tmp_path, name):
     from jaxblur.filters import FILTERS, filter_info
 

@@ -2,7 +2,10 @@
 
 import importlib
 import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -12,8 +15,6 @@ import pytest
 import jaxblur
 from jaxblur._util import compiler
 from jaxblur.cli.commands import doctor
-from jaxblur.kernels import cpp
-from jaxblur.kernels.cpp import build
 
 from .command_line import run
 
@@ -89,21 +90,27 @@ def test_a_missing_compiler_is_a_remark_that_names_the_remedy(monkeypatch):
 
 
 @pytest.mark.skipif(not compiler.loads_kernels(), reason="needs a system that loads kernels")
-def test_a_compiler_that_fails_is_a_problem(monkeypatch, tmp_path):
+def test_a_compiler_that_fails_is_a_problem(tmp_path):
     broken = tmp_path / "c++"
     broken.write_text("#!/bin/sh\necho 'error: no license' >&2\nexit 1\n")
     broken.chmod(0o755)
-    path = str(broken)
-    for module in (build, compiler, cpp):
-        monkeypatch.setattr(
-            module, "find_compiler", lambda: compiler.Compiler((path,), (), (path, "--version"))
-        )
-    # Of the other filter this process has kernels.
-    monkeypatch.setattr(doctor, "FILTER", "mcguire2012")
-    report, said = found(1)
+    # A process of its own, since this one may have compiled the kernels.
+    script = (
+        "from jaxblur.cli import main\nfrom jaxblur.cli.commands import doctor\n"
+        "doctor.FILTER, doctor.WIDTH, doctor.HEIGHT = 'pixel_velocity', 48, 32\n"
+        "doctor.SQUARE = 8\nraise SystemExit(main(['doctor', '--json']))\n"
+    )
+    outcome = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert outcome.returncode == 1, outcome.stderr
+    report = json.loads(outcome.stdout)
     assert "no license" in report["problems"][0]
     assert list(report["test"]) == ["xla"] and report["backend"] == "xla"
-    assert "error: native: the test frame cannot be blurred" in said
+    assert "error: native: the test frame cannot be blurred" in outcome.stderr
 
 
 def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch):

@@ -27,6 +27,7 @@ def bomb(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_the_output_is_that_of_the_command(tmp_path):
     assert spawn("info", CAR, "--isolate").stdout == run("info", CAR).out
     commands = [

@@ -121,6 +121,7 @@ def test_a_still_layer_needs_no_vectors(files):
     np.testing.assert_allclose(exr.read_image(out)[..., :3], expected, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_passes_still_add_up_to_the_picture(files):
     for name, channels in (("hero.exr", front_at(0)), ("street.exr", back_at(0))):
         shares = np.linspace(0.2, 0.8, SIZE[1], dtype=np.float32)
@@ -143,6 +144,7 @@ def test_passes_still_add_up_to_the_picture(files):
     assert "street.exr" in message and "no other layer of color" in message
 
 
+@pytest.mark.slow
 def test_a_deep_file_becomes_layers(tmp_path):
     deep = write_deep(tmp_path / "deep.exr", [disc(*parts) for parts in DISCS])
     plain, out = ("--noise", "none", "--samples", "66", "--radius", "24"), tmp_path / "out.exr"
@@ -197,6 +199,7 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
     np.testing.assert_allclose(exr.read_channels(out, list("RGBA")), expected, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_layers_given_back_to_front_are_told(files):
     """By depth where both cover a pixel; what is out of order in a small part is left alone."""
     opaque = back_at(0) | {"A": np.ones(SIZE, np.float32)}

@@ -47,6 +47,7 @@ def check_that_all_runs_agree(tmp_path, source, *options):
     assert plain.read_bytes() == first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_second_run_needs_no_jax_and_writes_the_same_bytes(tmp_path):
     check_that_all_runs_agree(tmp_path, CUBE, "--filter", "pixel_velocity")
     kernels = tmp_path / "jaxblur" / "kernels"

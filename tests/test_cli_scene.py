@@ -58,6 +58,7 @@ def test_scene_frames_read_back_as_the_renderer_made_them(folder):
     np.testing.assert_array_equal(ids, scenes.object_ids(scenes.SCENES["uniform_pan"](), 3.0, SIZE))
 
 
+@pytest.mark.slow
 def test_blur_takes_scene_frames_and_comes_near_their_truth(folder, tmp_path):
     outcome = run(
         *("blur", folder / "uniform_pan.0001.exr", "-o", tmp_path / "out.exr"),
@@ -128,6 +129,7 @@ def test_options_that_smoke_or_other_scenes_lack_are_refused(tmp_path):
     assert "only smoke has layers" in refused("scene", "gears", "-o", tmp_path, "--layers", "2")
 
 
+@pytest.mark.slow
 def test_demo_writes_pictures_and_scores_that_improve(tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "TRUTH_SAMPLES", 16)
     folder = tmp_path / "demo"

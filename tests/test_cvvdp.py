@@ -63,6 +63,7 @@ def tiny(dtype=jnp.float32, frames=3):
     return jnp.asarray(test, dtype), jnp.asarray(reference, dtype)
 
 
+@pytest.mark.slow
 def test_derivatives_match_finite_differences():
     with jax.enable_x64(True):
         check_grads(
@@ -84,6 +85,7 @@ def test_equal_clips_have_ten_and_finite_derivatives():
         np.testing.assert_allclose(slope, 0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_descent_leads_to_the_reference():
     test, reference = tiny()
     slope = jax.grad(lambda a: metrics.cvvdp(a, reference, frames_per_second=12.0))(test)

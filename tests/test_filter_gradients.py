@@ -179,18 +179,18 @@ def test_value_and_gradients_are_finite_at_every_kink(name, settings):
     assert_finite_both_ways(name, settings, kink_frames())
 
 
-# Each size compiles anew. In the fast suite every filter has one of them, and guertin2014 both.
+# Each size compiles anew.
 @pytest.mark.parametrize(
     ("name", "settings", "which"),
     [
-        ("guertin2014", KINK_SETTINGS, "one row"),
-        ("guertin2014", OTHER_KINK_SETTINGS, "one pixel"),
         ("mcguire2012", KINK_SETTINGS, "one row"),
         ("pixel_velocity", KINK_SETTINGS, "one row"),
-        ("layered", KINK_SETTINGS, "one pixel"),
         *(
-            pytest.param(*case, marks=pytest.mark.slow)
+            slow(*case)
             for case in [
+                ("guertin2014", KINK_SETTINGS, "one row"),
+                ("guertin2014", OTHER_KINK_SETTINGS, "one pixel"),
+                ("layered", KINK_SETTINGS, "one pixel"),
                 ("guertin2014", KINK_SETTINGS, "one pixel"),
                 ("guertin2014", OTHER_KINK_SETTINGS, "one row"),
                 ("mcguire2012", KINK_SETTINGS, "one pixel"),
@@ -256,9 +256,9 @@ def test_gradient_of_parameters_alone_scatters_nothing():
     ("backend", "tile_choice"),
     [
         ("native", "expected"),
-        ("xla", "own"),
-        pytest.param("native", "own", marks=pytest.mark.slow),
-        pytest.param("xla", "expected", marks=pytest.mark.slow),
+        slow("xla", "own"),
+        slow("native", "own"),
+        slow("xla", "expected"),
     ],
 )
 def test_second_derivatives_are_those_of_the_first(backend, tile_choice):

@@ -19,6 +19,7 @@ from tests.helpers import settings_of, with_slow
 SHAPES = ((4, 8), (5, 7))
 # Odd and without noise, so that a reversed velocity reads the same taps.
 SETTINGS = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice="own")
+HEAVY = ("guertin2014", "layered", "mcguire2012")
 SPECIAL = (0.0, 0.5, -0.5, 4.0, -4.0, 8.0, 1e-40, 1e-20, 1e6, -1e6)
 
 speeds = st.one_of(
@@ -115,7 +116,7 @@ def gradients(name: str, inputs: Any) -> Any:
     return jax.grad(total)(inputs)
 
 
-@pytest.mark.parametrize("name", with_slow(FILTERS, "guertin2014", "layered"))
+@pytest.mark.parametrize("name", with_slow(FILTERS, *HEAVY))
 @properties()
 @given(frame=frames(shapes=SHAPES[1:2]))
 def test_gradients_are_finite_wherever_the_motion_goes(name, frame):

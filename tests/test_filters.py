@@ -19,6 +19,8 @@ from tests.helpers import (
     random_frame,
     random_noise,
     settings_of,
+    slow,
+    with_slow,
 )
 from tests.reference import plain_loops
 
@@ -116,7 +118,7 @@ def test_half_and_numpy_buffers_are_computed_in_float32():
     np.testing.assert_array_equal(actual, run("guertin2014", full))
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
 def test_jit_and_vmap_equal_the_plain_call(name):
     # Steep steps in depth and velocity magnify rounding: 8e-6 is the most that was seen.
     absolute = 2e-5 if name == "layered" else 0
@@ -327,7 +329,7 @@ def test_parameters_of_another_filter_are_refused():
     check_parameters(jaxblur.GuertinParameters(), jaxblur.GuertinParameters)
 
 
-@pytest.mark.parametrize("name", ["guertin2014", "pixel_velocity", "layered"])
+@pytest.mark.parametrize("name", ["guertin2014", "pixel_velocity", slow("layered")])
 def test_a_spacing_leaves_the_samples_that_the_path_needs(name):
     frame = random_frame((13, 17))
     velocity = jnp.broadcast_to(jnp.asarray([3.2, 0.0], jnp.float32), (13, 17, 2))

@@ -89,7 +89,7 @@ def agree(table, bar):
 
 
 @pytest.mark.parametrize(
-    "name", ["layered", "pixel_velocity", slow("guertin2014"), slow("mcguire2012")]
+    "name", ["mcguire2012", "pixel_velocity", slow("guertin2014"), slow("layered")]
 )
 def test_derivatives_do_what_the_picture_does(name):
     frame, truth = rendered("cube_over_crates")

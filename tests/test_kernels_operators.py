@@ -40,6 +40,7 @@ def twice(name, backend, looped):
     return loss
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "backend"),
     [
@@ -57,6 +58,7 @@ def test_second_derivatives_of_a_loop_are_those_of_its_steps(name, backend):
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6 * float(value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["native", "xla"])
 @pytest.mark.parametrize("over", [jax.vmap, lambda f: lambda x: jax.lax.map(f, x)])
 def test_second_derivatives_of_a_batch_in_a_loop(backend, over):

@@ -16,7 +16,7 @@ from jaxblur.filters.layered.neighbors import light_of
 from jaxblur.filters.layered.owners import Coding
 from jaxblur.filters.layered.silhouettes import motion_of
 from tests.exr_files import CAR
-from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise
+from tests.helpers import RELATIVE, as_arrays, fields, random_frame, random_noise, slow
 from tests.reference import layered_loops
 
 PARAMETERS = jaxblur.LayeredParameters()
@@ -34,8 +34,8 @@ def with_path(frame, seed=9):
 @pytest.mark.parametrize(
     ("shape", "dtype", "curved", "options"),
     [
-        ((13, 17), "float64", False, {"border": "clamp", "samples": 12}),
-        ((7, 41), "float64", True, {"fetch": "nearest"}),
+        slow((13, 17), "float64", False, {"border": "clamp", "samples": 12}),
+        slow((7, 41), "float64", True, {"fetch": "nearest"}),
         ((24, 32), "float32", False, {}),
     ],
 )

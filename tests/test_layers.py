@@ -65,7 +65,8 @@ def error(image, truth):
     return np.sqrt(np.mean((np.asarray(image) - truth)[inner] ** 2))
 
 
-@pytest.mark.parametrize("speeds", [(10.0, 0.0), slow((8.0, 8.0)), slow((9.0, -6.0))])
+@pytest.mark.slow
+@pytest.mark.parametrize("speeds", [(10.0, 0.0), (8.0, 8.0), (9.0, -6.0)])
 def test_what_is_behind_is_seen_through_the_hole_at_its_own_time(speeds):
     layers, truth = layers_of(*speeds), truth_of(*speeds)
     together = blur_layers(layers, settings=SETTINGS)
@@ -173,6 +174,7 @@ def in_color(frame):
     return frame.replace(color=jnp.concatenate([gray, gray, gray, alpha], axis=-1))
 
 
+@pytest.mark.slow
 def test_color_is_blurred_as_gray_is():
     layers = layers_of(8.0, 0.0)
     gray = blur_layers(layers, settings=SETTINGS)
@@ -188,6 +190,7 @@ def empty_layer():
     return jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in buffers))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backend", "place"), [("native", 0), slow("xla", 1)])
 def test_an_empty_layer_changes_nothing(backend, place):
     settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)

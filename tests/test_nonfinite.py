@@ -11,7 +11,7 @@ import jaxblur
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.guertin2014 import tile_outcomes
 from jaxblur.nonfinite import Ignored
-from tests.helpers import random_frame, settings_of
+from tests.helpers import random_frame, settings_of, with_slow
 
 SETTINGS = jaxblur.GuertinSettings(samples=9, radius=6)
 
@@ -125,7 +125,7 @@ def test_a_mask_that_masks_nothing_changes_nothing(name):
     np.testing.assert_allclose(run(name, full), run(name, frame), rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
 def test_a_masked_sample_loses_its_weight_too(name):
     """The result is the quotient of two plain filterings wherever a valid pixel is in reach."""
     frame = random_frame((12, 18), speed=4.0, channels=1)

@@ -145,6 +145,7 @@ def test_derivatives_in_the_lens_agree_with_differences():
             assert float(getattr(gradient, name)) == pytest.approx(difference, rel=0.1), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["auto", "xla"])
 def test_derivatives_are_finite(backend):
     frame = random_frame((12, 15))
@@ -158,6 +159,7 @@ def test_derivatives_are_finite(backend):
         assert all(np.isfinite(leaf).all() for leaf in leaves)
 
 
+@pytest.mark.slow
 def test_reverse_in_native_code_equals_that_of_xla():
     frame = random_frame((12, 15))
 

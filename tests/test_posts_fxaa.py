@@ -98,6 +98,7 @@ def test_the_hint_smooths_what_moves_and_nothing_else():
     assert hinted[:, 36:].std() < 0.8 * color[:, 36:].std()
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences():
     with jax.enable_x64(True):
         image = np.random.default_rng(1).random((6, 7, 3))

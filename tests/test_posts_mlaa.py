@@ -128,6 +128,7 @@ def test_the_soft_form_tends_to_the_hard_one():
     np.testing.assert_allclose(soft, mlaa(image, search=5), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_differences():
     with jax.enable_x64(True):
         image = np.random.default_rng(1).random((5, 6, 3))

@@ -23,6 +23,8 @@ from jaxblur.scenes import (
 )
 from jaxblur.scenes.mesh import join
 
+pytestmark = pytest.mark.slow
+
 SIZE = (54, 96)
 WHITE = materials.flat((1.0, 1.0, 1.0))
 
@@ -120,7 +122,6 @@ def test_visibility_matches_brute_force_on_random_triangles():
     assert 0.3 < hit.any(-1).mean() < 1.0
 
 
-@pytest.mark.slow
 def test_a_floor_through_the_near_plane_has_the_depth_of_the_ray():
     view = camera((0, 1.5, 5), (0, 0.9, 0), field_of_view=50)
     a_scene = build(Body("floor", primitives.plane((400, 400)), WHITE), view=view)

@@ -8,6 +8,8 @@ import jaxblur
 from jaxblur import scenes
 from jaxblur.noise import make_noise
 
+pytestmark = pytest.mark.slow
+
 SIZE = (24, 40)
 
 

@@ -76,7 +76,7 @@ TWICE = Shutter.windows([(-1, -0.5), (0.5, 1)])
     ("exposure", "truth", "gain"),
     [
         slow(Shutter.triangle(), {"shutter_function": "triangle"}, 5),
-        (Shutter.box(0, 2), {"placement": "leading"}, 8),
+        slow(Shutter.box(0, 2), {"placement": "leading"}, 8),
         slow(Shutter.box(readout=2), {"readout": 0.5}, 7),
         slow(Shutter.box(readout=-2), {"readout": -0.5}, 7),
         slow(TWICE, {"shutter_function": TWICE.curve}, 1.5),
@@ -171,6 +171,7 @@ def test_a_rolling_shutter_stretches_what_moves_along_it(readout):
     np.testing.assert_allclose([rows[0] - 0.5, rows[-1] + 0.5], edges, atol=0.75)
 
 
+@pytest.mark.slow
 def test_speeds_beyond_the_radius_are_cut_over_the_longer_exposure():
     frame = block(speed=(8.0, 0.0))
     settings = jaxblur.Settings(samples=99, radius=10)
@@ -194,7 +195,8 @@ def pan(width=96, speed=7.0):
 INNER = np.s_[:, 16:-16]
 
 
-@pytest.mark.parametrize("backend", ["auto", pytest.param("xla", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["auto", "xla"])
 def test_the_derivative_in_the_curve_is_that_of_the_weighted_mean(backend):
     frame, at = pan()
     settings = jaxblur.Settings(samples=105, radius=40, fetch="bilinear", backend=backend)

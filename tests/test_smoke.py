@@ -14,6 +14,8 @@ from jaxblur.scenes.smoke import lighting, puff, volume
 from jaxblur.scenes.smoke.environment import directions, solid_angles
 from jaxblur.scenes.smoke.march import Rays, march as traced_march
 
+pytestmark = pytest.mark.slow
+
 SIZE = (24, 32)
 SMALL = Marching(cells=(24, 24, 24))
 THICK = 1.7
@@ -257,7 +259,6 @@ def test_mask_and_distance_map_leave_the_picture_as_it_is(scene, mask, distance)
     np.testing.assert_allclose(got.color, expected.color, atol=2e-6)
 
 
-@pytest.mark.slow
 def test_cached_light_is_nearly_that_of_every_sample(scene):
     smoke, rays = smoke_and_rays(scene, 24)
     every, cached = (dataclasses.replace(SMALL, lighting=kind) for kind in ("shadows", "cached"))
@@ -327,7 +328,6 @@ def test_all_smoke_is_within_its_bounds(scene, time):
 # Frames, layers and truth.
 
 
-@pytest.mark.slow
 def test_smoke_that_drifts_to_the_right_has_half_its_way_as_velocity(smoke_alone):
     flow = dataclasses.replace(
         smoke_alone.puff.flow,

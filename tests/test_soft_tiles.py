@@ -25,6 +25,7 @@ def soft(velocity, temperature=0.5):
     return dominant_velocity(velocity, RADIUS, "reaching", temperature)
 
 
+@pytest.mark.slow
 def test_a_low_temperature_gives_the_maximum():
     velocity = coherent().astype(jnp.float32)
     largest = dominant_velocity(velocity, RADIUS, "reaching")
@@ -41,6 +42,7 @@ def test_reversed_pixels_do_not_cancel():
     )
 
 
+@pytest.mark.slow
 def test_the_derivative_is_that_of_the_value():
     with jax.enable_x64(True):
         velocity = jnp.asarray(np.asarray(coherent()), np.float64)

@@ -138,6 +138,7 @@ def test_strengths_compose_under_jit_and_vmap():
             assert got.dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_gradients():
     with jax.enable_x64(True):
         frame, camera = make_frame(dtype=jnp.float64), bent(make_frame(1, dtype=jnp.float64))
