@@ -12,8 +12,8 @@ PACKAGE = Path(__file__).parents[1] / "jaxblur"
 
 # Frames, numbers and light: what every layer may know.
 FRAMES = {
-    *("camera", "frame", "noise", "nonfinite", "safe_math", "settings", "shutter", "srgb"),
-    "strength",
+    *("camera", "frame", "lens", "noise", "nonfinite", "optics", "safe_math", "settings"),
+    *("shutter", "srgb", "strength"),
 }
 CORE = FRAMES | {"kernels", "filters", "posts"}
 # Ground truth and metrics share no code with the filters: a shared mistake would pass.
@@ -24,6 +24,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "camera": set(),
     "frame": {"camera"},
     "safe_math": set(),
+    "lens": set(),
+    "optics": {"frame", "lens"},
     "settings": set(),
     "shutter": {"frame"},
     "strength": {"frame", "safe_math"},
@@ -33,8 +35,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "metrics": {"frame", "srgb"},
     "scenes": {"frame", "srgb"},
     "kernels": {"_util", "safe_math", "settings"},
-    "filters": {"frame", "kernels", "noise", "nonfinite", "safe_math", "settings", "shutter"},
-    "posts": {"frame", "kernels", "noise", "safe_math", "settings"},
+    "filters": {
+        *("frame", "kernels", "lens", "noise", "nonfinite", "optics", "safe_math", "settings"),
+        "shutter",
+    },
+    "posts": {"frame", "kernels", "lens", "noise", "optics", "safe_math", "settings"},
     "vectors": {"frame", "safe_math"},
     "exr": {"_util", "frame", "nonfinite", "srgb", "vectors"},
     "sequence": {"exr"},

@@ -5,7 +5,17 @@ import re
 import numpy as np
 import pytest
 
-from jaxblur import Frame, GuertinParameters, GuertinSettings, exr, luma_hint, posts
+from jaxblur import (
+    Frame,
+    GuertinParameters,
+    GuertinSettings,
+    LayeredParameters,
+    Settings,
+    exr,
+    layered,
+    luma_hint,
+    posts,
+)
 from jaxblur.noise import make_noise
 from jaxblur.posts import Lens
 from tests.command_line import refused, run
@@ -13,6 +23,7 @@ from tests.exr_files import plain_frame, write_single
 
 SIZE = (24, 36)
 BLUR = ("--preset", "jaxblur", "--filter", "pixel_velocity", "--noise", "none")
+LAYERED = ("--preset", "jaxblur", "--samples", "9", "--radius", "16")
 LENS = ("--focus", "4", "--f-number", "2", "--focal-length", "200")
 
 
@@ -54,6 +65,43 @@ def test_posts_follow_the_blur_in_order(source, tmp_path):
     assert notes(out)["jaxblur:then"] == "defocus, fxaa"
     assert "focus = 4" in notes(out)["jaxblur:lens"]
     assert "jaxblur:then" not in notes(blurred)
+
+
+def test_the_blur_itself_looks_through_a_lens(source, tmp_path):
+    out = tmp_path / "out.exr"
+    printed = done("blur", source, "-o", out, *LAYERED, *LENS).err
+    assert "lens: discs up to a radius of" in printed
+    settings = Settings(samples=9, radius=16, fetch="bilinear")
+    frame = exr.read_frame(source, preset="jaxblur")
+    lens = Lens(4.0, 2.0, 200.0)
+    expected = layered(frame, LayeredParameters(), settings=settings, lens=lens)
+    np.testing.assert_allclose(exr.read_image(out), expected, atol=2e-3)
+    blurred = layered(frame, LayeredParameters(), settings=settings)
+    assert np.abs(expected - blurred).max() > 0.05
+    assert "focus = 4" in notes(out)["jaxblur:lens"]
+    assert "jaxblur:then" not in notes(out)
+    # With --then defocus the blur has no lens: nothing is defocused twice.
+    done("blur", source, "-o", tmp_path / "two.exr", *LAYERED, *LENS, "--then", "defocus")
+    in_turn = posts.defocus(frame.replace(color=blurred), lens, radius=32)
+    np.testing.assert_allclose(exr.read_image(tmp_path / "two.exr"), in_turn, atol=2e-3)
+    assert np.abs(in_turn - expected).max() > 0.05
+    again = done("post", out, "-o", tmp_path / "again.exr", "--do", "defocus", *LENS)
+    assert "has been through defocus before" in again.err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--filter", "guertin2014", "--focus", "4"), "--focus: guertin2014 blurs by motion alone"),
+        (("--plan", "auto", "--focus", "4"), "--plan auto may choose a filter that takes no lens"),
+        (("--focus", "4", "--lens-samples", "9"), "--lens-samples: only --then defocus takes it"),
+        (("--f-number", "2"), "--f-number: add --focus"),
+        (("--focus", "0.01"), "--focus: `lens.focus` must be beyond the focal length"),
+    ],
+)
+def test_refused_lenses_of_the_blur(source, tmp_path, options, message):
+    error = refused("blur", source, "-o", tmp_path / "o.exr", "--preset", "jaxblur", *options)
+    assert message in error
 
 
 def test_a_picture_alone(source, tmp_path):

@@ -128,7 +128,7 @@ PLAIN = {
 def plain_frame() -> Any:
     buffers = types.SimpleNamespace(pass_colors=None, guide=None)
     return types.SimpleNamespace(
-        buffers=buffers, neighbors={}, exposure=None, layers=(), ranks=(), truth=None
+        buffers=buffers, neighbors={}, exposure=None, lens=None, layers=(), ranks=(), truth=None
     )
 
 
@@ -172,7 +172,7 @@ def test_options_that_need_jax_are_not_served(serves, name, value):
     ("name", "value"),
     [
         *(("neighbors", {"before": None}), ("exposure", object()), ("layers", (1,))),
-        *(("ranks", (1,)), ("truth", np.zeros(3))),
+        *(("ranks", (1,)), ("truth", np.zeros(3)), ("lens", object())),
     ],
 )
 def test_frames_that_need_jax_are_not_served(serves, name, value):

@@ -1,13 +1,17 @@
-"""Blur then defocus, or defocus then blur, against the truth over time and lens at once.
+"""Blur then defocus, defocus then blur, or both at once, against the truth over time and lens.
 
-    python -m experiments.016_order.run -o OUT [--quick]
+    python -m experiments.016_order.run -o OUT [--quick | --scores scenes.csv]
 
-Writes order.csv and .md, scenes.csv and .md, times.csv and .md, and order.png.
+Writes order.csv and .md (means), gains.csv and .md (of one pass over the better order), scenes.csv
+and .md, times.csv and .md, and order.png. With ``--scores`` nothing is rendered: means and gains of
+the scores that a former run has written.
 """
 
+import csv
 import functools
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -26,6 +30,19 @@ SAMPLES = 128
 DISC = 7.0
 """Radius in pixels of the largest discs (of 2 % of the pixels)."""
 FILTERS = ("layered", "guertin2014")
+AT_ONCE = (35, 105)
+"""Samples of one pass for both."""
+ORDERS = ("blur, then defocus", "defocus, then blur")
+MEASURES = ("psnr", "ssim", "flip")
+
+
+class Score(NamedTuple):
+    """What an order scores on a scene, with a filter; the measures as `MEASURES`."""
+
+    scene: str
+    name: str
+    order: str
+    measures: tuple[float, ...]
 
 
 class Case(NamedTuple):
@@ -53,12 +70,25 @@ def lens_of(case: Case, scene: scenes.Scene, depth: np.ndarray) -> posts.Lens:
     return posts.Lens.of_aperture(DISC / float(np.quantile(spread, 0.98)), focus, focal)
 
 
-def blur(frame: jaxblur.Frame, name: str, color: Any) -> Any:
+def blur(frame: jaxblur.Frame, name: str, color: Any, samples: int = 35, **more: Any) -> Any:
     """Blur some color by the motion of a frame."""
     info = filter_info(name)
     call: Any = info.call
-    settings = info.kind(samples=35, radius=40)
-    return call(frame.replace(color=color), info.make_parameters(), settings=settings)
+    settings = info.kind(samples=samples, radius=40)
+    return call(frame.replace(color=color), info.make_parameters(), settings=settings, **more)
+
+
+def _joint(samples: int) -> str:
+    return f"both at once, {samples} samples"
+
+
+def at_once(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, Any]:
+    """Motion and defocus in one pass, where the filter takes a lens."""
+    if not filter_info(name).takes_lens:
+        return {}
+    return {
+        _joint(samples): blur(frame, name, frame.color, samples, lens=lens) for samples in AT_ONCE
+    }
 
 
 def images_of(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, Any]:
@@ -72,17 +102,22 @@ def images_of(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, An
         "neither": frame.color,
         "blur alone": blurred,
         "defocus alone": defocused,
-        "blur, then defocus": defocus(blurred),
-        "defocus, then blur": blur(frame, name, defocused),
+        ORDERS[0]: defocus(blurred),
+        ORDERS[1]: blur(frame, name, defocused),
+        **at_once(frame, lens, name),
     }
 
 
 def milliseconds(frame: jaxblur.Frame, lens: posts.Lens) -> list[tuple[str, str]]:
-    """Processor time of each part, least of five in turn."""
+    """Processor time of each part, least of six in turn."""
     parts: dict[str, Callable[[], Any]] = {
         name: functools.partial(blur, frame, name, frame.color) for name in FILTERS
     }
     parts["defocus, 64 samples"] = functools.partial(posts.defocus, frame, lens)
+    for samples in AT_ONCE:
+        parts[f"layered, {_joint(samples)}"] = functools.partial(
+            blur, frame, FILTERS[0], frame.color, samples, lens=lens
+        )
     spent: dict[str, list[float]] = {name: [] for name in parts}
     for _ in range(6):
         for name, run in parts.items():
@@ -92,13 +127,9 @@ def milliseconds(frame: jaxblur.Frame, lens: posts.Lens) -> list[tuple[str, str]
     return [(name, f"{1000 * min(values):.1f}") for name, values in spent.items()]
 
 
-def main() -> None:
-    """Run the experiment."""
-    parser = output_parser("The order of blur and defocus against the truth of both.")
-    parser.add_argument("--quick", action="store_true", help="the wheels alone, 64 samples")
-    arguments = parser.parse_args()
-    cases, samples = (CASES[:1], 64) if arguments.quick else (CASES, SAMPLES)
-    rows, sheet, timed = [], [], []
+def render(output: Path, cases: tuple[Case, ...], samples: int) -> list[Score]:
+    """Score every order on every scene; write the picture and the times of the first one."""
+    scores = []
     for case in cases:
         scene = scenes.SCENES[case.scene]()
         frame = jax.tree.map(jnp.asarray, scenes.render(scene, 0, SHUTTER, SIZE, path=True))
@@ -109,26 +140,70 @@ def main() -> None:
             made = images_of(frame, lens, name)
             for order, image in made.items():
                 score = metrics.compare(metrics.rgb(image), metrics.rgb(truth))
-                rows.append((case.scene, name, order, *(float(value) for value in score)))
-                print(*rows[-1], flush=True)
+                scores.append(Score(case.scene, name, order, tuple(map(float, score))))
+                print(*scores[-1], flush=True)
             if case == CASES[0] and name == FILTERS[0]:
-                orders = ("blur, then defocus", "defocus, then blur")
+                shown = (*ORDERS, _joint(AT_ONCE[0]))
                 sheet = [
-                    [truth, *(made[order] for order in orders)],
-                    [frame.color, *(error_image(made[order], truth) for order in orders)],
+                    [truth, *(made[order] for order in shown)],
+                    [frame.color, *(error_image(made[order], truth) for order in shown)],
                 ]
+                write_png(output / "order.png", contact_sheet(sheet))
                 timed = milliseconds(frame, lens)
-    columns = ("psnr", "ssim", "flip")
-    mean = []
-    for name in FILTERS:
-        for order in dict.fromkeys(row[2] for row in rows):
-            found = np.mean([row[3:] for row in rows if row[1:3] == (name, order)], axis=0)
-            mean.append((name, order, *(f"{value:.4f}" for value in found)))
-    each = [(*row[:3], *(f"{value:.4f}" for value in row[3:])) for row in rows]
-    write_table(arguments.output, "order", ("filter", "order", *columns), mean)
-    write_table(arguments.output, "scenes", ("scene", "filter", "order", *columns), each)
-    write_table(arguments.output, "times", ("what", "CPU ms, 320x180"), timed)
-    write_png(arguments.output / "order.png", contact_sheet(sheet))
+                write_table(output, "times", ("what", "CPU ms, 320x180"), timed)
+    each = [(*score[:3], *(f"{value:.4f}" for value in score.measures)) for score in scores]
+    write_table(output, "scenes", ("scene", "filter", "order", *MEASURES), each)
+    return scores
+
+
+def read_scores(path: Path) -> list[Score]:
+    """The scores of a former run."""
+    with path.open(encoding="utf-8", newline="") as lines:
+        return [
+            Score(
+                *(row["scene"], row["filter"], row["order"]),
+                tuple(float(row[measure]) for measure in MEASURES),
+            )
+            for row in csv.DictReader(lines)
+        ]
+
+
+def means(scores: list[Score]) -> list[tuple[str, ...]]:
+    """The mean over the scenes of every filter and order."""
+    rows = []
+    for name, order in dict.fromkeys((score.name, score.order) for score in scores):
+        found = [score.measures for score in scores if (score.name, score.order) == (name, order)]
+        rows.append((name, order, *(f"{value:.4f}" for value in np.mean(found, axis=0))))
+    return rows
+
+
+def gains(scores: list[Score]) -> list[tuple[str, ...]]:
+    """PSNR of the better order of each scene, and what one pass gains over it; then the means."""
+    psnr = {score[:3]: score.measures[0] for score in scores}
+    rows = []
+    for scene in dict.fromkeys(score.scene for score in scores):
+        better = max(psnr[scene, FILTERS[0], order] for order in ORDERS)
+        joint = [psnr[scene, FILTERS[0], _joint(samples)] for samples in AT_ONCE]
+        rows.append((scene, better, *(value - better for value in joint)))
+    rows.append(("mean", *np.mean([row[1:] for row in rows], axis=0)))
+    return [(scene, f"{better:.2f}", *(f"{v:+.2f}" for v in gain)) for scene, better, *gain in rows]
+
+
+def main() -> None:
+    """Run the experiment."""
+    parser = output_parser("The order of blur and defocus against the truth of both.")
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument("--quick", action="store_true", help="the wheels alone, 64 samples")
+    parts.add_argument("--scores", type=Path, metavar="CSV", help="scenes.csv of a former run")
+    arguments = parser.parse_args()
+    if arguments.scores is not None:
+        scores = read_scores(arguments.scores)
+    else:
+        cases, samples = (CASES[:1], 64) if arguments.quick else (CASES, SAMPLES)
+        scores = render(arguments.output, cases, samples)
+    write_table(arguments.output, "order", ("filter", "order", *MEASURES), means(scores))
+    columns = ("scene", "better order", *(f"gain, {samples} samples" for samples in AT_ONCE))
+    write_table(arguments.output, "gains", columns, gains(scores))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from jaxblur.settings import Settings, checked_settings
 from . import posts, stack
 from .arguments import CommandError
 from .choice import PASSED_THROUGH, Choice
-from .filtering import takes_neighbors
+from .filtering import DEFAULT_FILTER, takes_neighbors
 from .loading import Loaded
 
 
@@ -34,7 +34,10 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
     if chosen.name == PASSED_THROUGH:
         still = np.zeros_like(buffers.velocity)
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
-        return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+        if loaded.lens is None:
+            return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+        more = {"lens": loaded.lens}
+        return apply_filter(DEFAULT_FILTER, buffers, {}, chosen.settings, seed, more)
     if loaded.layers:
         return _blur_layers(chosen, loaded, seed)
     more: dict[str, Any] = {}
@@ -43,6 +46,8 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         more = {**given, "shutter": loaded.shutter}
     if loaded.exposure is not None:
         more["exposure"] = loaded.exposure.shutter()
+    if loaded.lens is not None:
+        more["lens"] = loaded.lens
     return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
 
 
@@ -80,7 +85,8 @@ def apply_filter(
         settings: how to run it; plain `Settings` will do for any filter.
         seed: moves the built-in noise; None leaves it where it is.
         neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
-            each a `jaxblur.Frame`, and ``shutter``; of one that takes a shutter: ``exposure``.
+            each a `jaxblur.Frame`, and ``shutter``; ``exposure`` of one that takes a shutter,
+            ``lens`` of one that takes a lens.
         call: function with the filter's arguments to run instead of it, such as its hint.
 
     Returns:

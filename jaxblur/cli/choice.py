@@ -3,11 +3,13 @@
 import argparse
 import dataclasses
 import logging
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from jaxblur.settings import Settings
 
+from . import posts
 from .arguments import CommandError
 from .loading import Loaded
 
@@ -53,8 +55,19 @@ def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choi
     if arguments.plan:
         chosen = _planned(arguments, loaded.buffers)
         return _with_radius(chosen, chosen.settings.radius, arguments)
+    largest = 0.0
+    if loaded.lens is not None:
+        largest = posts.largest_disc(loaded.buffers.depth, loaded.lens)
+        LOG.info("lens: discs up to a radius of %.1f px", largest)
+        if asked.settings.radius < largest and arguments.radius != 0:
+            LOG.warning(
+                "lens: discs up to a radius of %.0f px are cut to the radius of %d px; check "
+                "--focus, --f-number and --unit, or give a larger --radius.",
+                *(largest, asked.settings.radius),
+            )
     if arguments.radius == 0:
-        chosen = _with_radius(asked, loaded.speeds.suggested_radius, arguments)
+        radius = loaded.speeds.suggested_radius + math.ceil(largest)
+        chosen = _with_radius(asked, radius, arguments)
         fastest = loaded.speeds.percentiles[100.0]
         LOG.info("radius: %d px, for half-spreads up to %.1f px", chosen.settings.radius, fastest)
         return chosen

@@ -378,6 +378,27 @@ def require_shutter(name: str, option: str) -> None:
     _require(name, takes_shutter, lacks)
 
 
+def takes_lens(name: str) -> bool:
+    """Whether a registered filter takes a lens."""
+    return filter_info(name).takes_lens
+
+
+def require_lens(name: str, option: str) -> None:
+    """Reject an option of the lens for a filter that takes none.
+
+    Args:
+        name: of a registered filter.
+        option: as on the command line.
+
+    Raises:
+        CommandError: the filter takes none; the message names those that do.
+    """
+    lacks = f"{option}: {name} blurs by motion alone; add --then defocus"
+    if not takes_lens(name):
+        able = " or ".join(filter(takes_lens, names()))
+        raise CommandError(f"{lacks}, leave it out, or pass --filter {able}.")
+
+
 def _require(name: str, takes: Callable[[str], bool], lacks: str) -> None:
     if not takes(name):
         able = " or ".join(filter(takes, names()))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxblur.settings import Settings
 
-from . import layer_reading, sources, stack, strength
+from . import layer_reading, posts, sources, stack, strength
 from .arguments import CommandError
 from .colors import shown_colors
 from .shutter import Exposure
@@ -57,6 +57,7 @@ class Loaded:
         neighbors: the frames ``before`` and ``after``, as far as they are used.
         shutter: exposure, in units of the time from one neighbor to the frame.
         exposure: a `.shutter.Exposure`; None for a box centered on the frame.
+        lens: a `jaxblur.posts.Lens` through which it is blurred; None for a pinhole.
         motion: how its motion was changed, in words.
         ranks: of `Source`.
         changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
@@ -73,6 +74,7 @@ class Loaded:
     neighbors: Mapping[str, Source] = dataclasses.field(default_factory=dict)
     shutter: float = 0.5
     exposure: Exposure | None = None
+    lens: Any = None
     motion: str = ""
     ranks: tuple[Any, ...] = ()
     changes: tuple[Any, ...] = ()
@@ -204,6 +206,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         source.states,
         shutter=arguments.shutter,
         exposure=exposure,
+        lens=posts.lens_of(arguments) if posts.looks_through(arguments) else None,
         motion=source.motion,
         ranks=source.ranks,
         selects=source.selects,

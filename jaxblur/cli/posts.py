@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
-from jaxblur.posts.lens import PRESETS, Lens
+from jaxblur.lens import PRESETS, Lens
 
 from .arguments import CommandError, did_you_mean, positive_integer, positive_number
 
@@ -33,18 +33,21 @@ RADII = (4, 8, 16, 32, 64, 128, 256)
 THEN = "jaxblur:then"
 """Header attribute: the posts of an image, in order."""
 LENS = "jaxblur:lens"
-"""Header attribute: the lens of defocus."""
+"""Header attribute: the lens of defocus, or of the blur."""
 
 _LENS_OPTIONS = ("focus", "lens", "f_number", "focal_length", "sensor", "unit", "lens_samples")
 
 
-def add_options(parser: argparse.ArgumentParser, option: str, *, required: bool = False) -> None:
+def add_options(
+    parser: argparse.ArgumentParser, option: str, *, required: bool = False, through: bool = False
+) -> None:
     """Add the option that names the posts, and those of the lens; `check` and `apply` read them.
 
     Args:
         parser: of a command.
         option: ``--then`` or ``--do``.
         required: whether the option must be given.
+        through: whether the command can look through the lens itself.
     """
     group = parser.add_argument_group("defocus and antialiasing")
     group.add_argument(
@@ -56,9 +59,18 @@ def add_options(parser: argparse.ArgumentParser, option: str, *, required: bool 
         metavar="NAME,..",
         help="in this order: " + "; ".join(f"{name}: {text}" for name, text in POSTS.items()),
     )
-    parser.set_defaults(posts_option=option)
+    parser.set_defaults(posts_option=option, through_lens=through)
     group.add_argument(
-        "--focus", type=positive_number, metavar="DEPTH", help="depth in focus, scene units"
+        "--focus",
+        type=positive_number,
+        metavar="DEPTH",
+        help="depth in focus, scene units"
+        + (
+            "; blurs motion and defocus in one pass (--filter layered), unless --then defocus: "
+            "then motion alone, and defocus in a second pass"
+            if through
+            else ""
+        ),
     )
     group.add_argument(
         "--lens",
@@ -117,14 +129,14 @@ def check(arguments: argparse.Namespace) -> None:
             f"{option} {REBLUR}: is for what was blurred along its motion; pass `jaxblur blur "
             f"--then {REBLUR}`."
         )
+    through = looks_through(arguments)
     if "defocus" not in arguments.posts:
-        for name in _LENS_OPTIONS:
+        needless = ("lens_samples",) if through else _LENS_OPTIONS
+        for name in needless:
             if getattr(arguments, name) is not None:
-                raise CommandError(
-                    f"--{name.replace('_', '-')}: only {option} defocus takes it; add that, or "
-                    "leave it out."
-                )
-        return
+                raise CommandError(_needless(arguments, f"--{name.replace('_', '-')}"))
+        if not through:
+            return
     if arguments.focus is None:
         raise CommandError(f"{option} defocus: give --focus, the depth in focus in scene units.")
     if (arguments.lens_samples or 2) < 2:
@@ -132,7 +144,23 @@ def check(arguments: argparse.Namespace) -> None:
     try:
         lens_of(arguments).check()
     except ValueError as error:
-        raise CommandError(f"{option} defocus: {error}") from error
+        raise CommandError(f"{'--focus' if through else f'{option} defocus'}: {error}") from error
+
+
+def looks_through(arguments: argparse.Namespace) -> bool:
+    """Whether the blur itself looks through the lens: a lens is given, and no later defocus."""
+    if not getattr(arguments, "through_lens", False):
+        return False
+    return arguments.focus is not None and "defocus" not in arguments.posts
+
+
+def _needless(arguments: argparse.Namespace, name: str) -> str:
+    option = arguments.posts_option
+    if looks_through(arguments):
+        return f"{name}: only {option} defocus takes it; the blur takes --samples in all."
+    if arguments.through_lens:
+        return f"{name}: add --focus, the depth in focus in scene units, or leave it out."
+    return f"{name}: only {option} defocus takes it; add that, or leave it out."
 
 
 def lens_of(arguments: argparse.Namespace) -> Lens:
@@ -220,14 +248,25 @@ def linear_luma(image: Any) -> Any:
     return 0.2126 * image[..., 0] + 0.7152 * image[..., 1] + 0.0722 * image[..., 2]
 
 
+def largest_disc(depth: Any, lens: Lens) -> float:
+    """The radius of the largest disc over which a lens spreads a pixel, pixels.
+
+    Args:
+        depth: (H, W), scene units; infinite for sky.
+        lens: it.
+    """
+    import numpy as np
+
+    return float(np.abs(lens.radius_at_infinity(depth.shape[1]) * (1 - lens.focus / depth)).max())
+
+
 def _defocused(arguments: argparse.Namespace, frame: Any) -> Any:
     import numpy as np
 
     from jaxblur import posts
 
     lens = lens_of(arguments)
-    discs = np.abs(np.asarray(posts.circle_of_confusion(frame, lens)))
-    largest = float(discs.max())
+    largest = largest_disc(np.asarray(frame.depth), lens)
     radius = next((step for step in RADII if step >= largest), RADII[-1])
     LOG.info("defocus: discs up to a radius of %.1f px", largest)
     if largest > radius:
@@ -240,13 +279,13 @@ def _defocused(arguments: argparse.Namespace, frame: Any) -> Any:
 
 
 def notes(arguments: argparse.Namespace) -> dict[str, str]:
-    """Metadata of the posts, to make an output again; empty without posts."""
-    if not arguments.posts:
-        return {}
-    found = {THEN: ", ".join(arguments.posts)}
-    if "defocus" in arguments.posts:
+    """Metadata of posts and lens, to make an output again; empty without them."""
+    found = {THEN: ", ".join(arguments.posts)} if arguments.posts else {}
+    through = looks_through(arguments)
+    if through or "defocus" in arguments.posts:
         values: dict[str, Any] = dataclasses.asdict(lens_of(arguments))
-        values["samples"] = arguments.lens_samples or 64
+        if not through:
+            values["samples"] = arguments.lens_samples or 64
         found[LENS] = "\n".join(f"{name} = {value}" for name, value in values.items())
     return found
 
@@ -254,4 +293,6 @@ def notes(arguments: argparse.Namespace) -> dict[str, str]:
 def earlier(attributes: Any, names: Sequence[str]) -> str:
     """Those of some posts that a file says it has been through; empty if none."""
     before = str(attributes.get(THEN, "")).split(", ")
+    if LENS in attributes:
+        before.append("defocus")
     return ", ".join(name for name in names if name in before)

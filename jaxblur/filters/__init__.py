@@ -1,7 +1,7 @@
 """Filters, all with one signature; `FILTERS` holds them by name, `filter_info` describes each.
 
-Imports nothing of jaxblur but `frame`, `kernels`, `noise`, `nonfinite`, `safe_math`, `settings` and
-`shutter`.
+Imports nothing of jaxblur but `frame`, `kernels`, `lens`, `noise`, `nonfinite`, `optics`,
+`safe_math`, `settings` and `shutter`.
 
     filter(frame, parameters, *, settings, noise=None) -> (H, W, C)
 

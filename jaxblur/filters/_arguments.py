@@ -134,6 +134,12 @@ def _unknown_option(
             f"`exposure`: {name} knows only a box centered on the frame, as long as its velocity "
             f"says (for another one scale the velocity); {able} takes any shutter."
         )
+    if option == "lens":
+        able = " or ".join(each for each in names() if filter_info(each).takes_lens)
+        return (
+            f"`lens`: {name} blurs by motion alone (jaxblur.posts.defocus blurs its result by a "
+            f"lens); {able} takes a lens."
+        )
     return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."
 
 

@@ -155,6 +155,7 @@ BUILTIN: Sequence[FilterInfo] = (
         row_reach=_layered_rows,
         takes_neighbors=True,
         takes_shutter=True,
+        takes_lens=True,
     ),
 )
 for _info in BUILTIN:

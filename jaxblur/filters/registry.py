@@ -96,6 +96,8 @@ class FilterInfo:
             `Frame` or None, and ``shutter``, the exposure in frames that relates them.
         takes_shutter: whether the filter also takes ``exposure``, a `jaxblur.Shutter` or None. The
             others know the nominal exposure alone, a box that is centered on the frame.
+        takes_lens: whether the filter also takes ``lens``, a `jaxblur.posts.Lens` or None, and then
+            blurs what it has out of focus too.
     """
 
     name: str
@@ -111,6 +113,7 @@ class FilterInfo:
     reads_color: bool = False
     takes_neighbors: bool = False
     takes_shutter: bool = False
+    takes_lens: bool = False
 
     @functools.cached_property
     def call(self) -> Filter:

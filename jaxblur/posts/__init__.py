@@ -1,6 +1,7 @@
 """What follows the blur: antialiasing of images, and the defocus of a lens.
 
-Imports nothing of jaxblur but `frame`, `kernels`, `noise`, `safe_math` and `settings`.
+Imports nothing of jaxblur but `frame`, `kernels`, `lens`, `noise`, `optics`, `safe_math`
+and `settings`.
 
     post(image or frame, ...) -> (H, W, C)
 

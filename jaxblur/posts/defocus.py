@@ -2,21 +2,20 @@
 
 import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..frame import Frame, check_frame, register_record
+from ..frame import Frame, check_frame
 from ..kernels import At, Image, Outcome, each_pixel, largest_in_tiles, nearest_place, sum_over
+from ..lens import PRESETS as PRESETS, Lens as Lens
 from ..noise import Noise, resolve_noise
+from ..optics import check_lens_record
 from ..safe_math import safe_divide, safe_norm
 from ..settings import Backend
-from .lens import Lens as Lens
-
-register_record(Lens)
 
 SMALLEST = 0.5
 """Radius in pixels of a disc that is no larger than its pixel."""
@@ -199,8 +198,8 @@ def circle_of_confusion(frame: Frame, lens: Lens) -> Float[Array, "height width"
         ValueError: a buffer has another shape, or the lens is out of range.
     """
     frame = check_frame(frame)
-    checked = _checked_lens(lens)
-    return checked.radius_at_infinity(frame.depth.shape[1]) * (1 - checked.focus / frame.depth)
+    check_lens_record(lens)
+    return lens.radius_at_infinity(frame.depth.shape[1]) * (1 - lens.focus / frame.depth)
 
 
 def defocus(
@@ -247,24 +246,15 @@ def defocus(
     for name, value, least in (("samples", samples, 2), ("radius", radius, 1)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise ValueError(f"`{name}` must be a whole number >= {least}, got {value!r}.")
+    check_lens_record(lens)
     return _defocus(
         check_frame(frame),
-        _checked_lens(lens),
+        lens,
         jnp.asarray(extent),
         noise,
         settings=Settings(samples, radius, frame.valid is not None),
         backend=backend,
     )
-
-
-def _checked_lens(lens: Any) -> Lens:
-    if not isinstance(lens, Lens):
-        raise ValueError(
-            f"`lens` must be a jaxblur.posts.Lens, got {type(lens).__name__}; pass "
-            "jaxblur.posts.Lens(focus)."
-        )
-    lens.check()
-    return lens
 
 
 @functools.partial(jax.jit, static_argnames=("settings", "backend"))

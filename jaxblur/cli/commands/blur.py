@@ -27,6 +27,7 @@ from ..filtering import (
     complete,
     describe_filters,
     read_fitted,
+    require_lens,
     require_shutter,
 )
 from ..loading import add_motion_option, check_motion
@@ -74,7 +75,7 @@ def add_parser(commands: Any) -> None:
     add_shutter_options(parser)
     add_motion_option(parser)
     strength.add_options(parser)
-    posts.add_options(parser, "--then")
+    posts.add_options(parser, "--then", through=True)
     add_nonfinite_option(add_source_options(parser))
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
 
@@ -149,6 +150,8 @@ def run(arguments: argparse.Namespace) -> int:
     asked = Choice(*complete(arguments, read_fitted(arguments)))
     if arguments.exposure is not None:
         require_shutter(asked.name, option_of(arguments))
+    if posts.looks_through(arguments) and not arguments.plan:
+        require_lens(asked.name, "--focus")
     with limited_threads(arguments.threads):
         if sequence.is_asked_for(arguments):
             return sequence.blur_sequence(arguments, asked)
@@ -164,6 +167,11 @@ def _check_plan(arguments: argparse.Namespace) -> None:
         raise CommandError(
             f"{option_of(arguments)}: --plan auto may choose a filter that takes no shutter; leave "
             "out one of the two."
+        )
+    if arguments.plan and posts.looks_through(arguments):
+        raise CommandError(
+            "--focus: --plan auto may choose a filter that takes no lens; leave out one of the "
+            "two, or add --then defocus."
         )
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.

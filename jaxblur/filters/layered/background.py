@@ -18,7 +18,7 @@ differentiable in the colors; where they are taken from is held.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
-from .clock import Span, Times, time_of_owners
+from .clock import Maps, Span, Times, time_of_owners
 from .neighbors import Neighbor
 from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
@@ -88,7 +88,7 @@ class Plan(NamedTuple):
     """What is fixed when the program is traced."""
 
     settings: Settings
-    intervals: int
+    maps: Maps
     coding: Coding
 
 
@@ -114,7 +114,7 @@ class Found(NamedTuple):
     depth: Array
 
 
-def _mixed(found: Found, borrowed: Found) -> tuple[Sequence[Array], Array]:
+def mixed(found: Found, borrowed: Found) -> tuple[Sequence[Array], Array]:
     """A color of the frame and one of a neighbor, and how surely it is known."""
     there = borrowed.depth < jnp.inf
     share = jnp.where(found.known > 0, borrowed.known, 1)
@@ -130,17 +130,17 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
     around = _around(at, images, own, parameters, (height, width))
 
     def at_time(k: Int[Array, ""]) -> Sums:
-        time = time_of_owners(k, plan.intervals, own.x, at.row, images.clock, inputs.span)
+        time = time_of_owners(k, plan.maps, own.x, at.row, images.clock, inputs.span)
         owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
         found = _of_frame(at, images, own, time, around, parameters)
         borrowed = Found(found.color, jnp.zeros_like(own.x), jnp.full_like(own.x, jnp.inf))
         for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
             ways = [(jnp.zeros_like(own.x),) * 2, (own.x, own.y), around.velocity]
-            borrowed = _of_neighbor(at, neighbor, time, its_time - time, ways, borrowed)
-        color, known = _mixed(found, borrowed)
+            borrowed = of_neighbor(at, neighbor, time, its_time - time, ways, borrowed)
+        color, known = mixed(found, borrowed)
         if images.hidden is not None:
             times = lax.div(images.hidden.height, height)
-            image = jnp.minimum(lax.div(k * times, jnp.int32(plan.intervals)), times - 1)
+            image = jnp.minimum(lax.div(k * times, jnp.int32(plan.maps.parts)), times - 1)
             given = images.hidden.read(image * height + at.row, at.column)
             is_given = given[0] == given[0]
             color = tuple(jnp.where(is_given, *pair) for pair in zip(given, color, strict=True))
@@ -149,7 +149,7 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         missing = jnp.where(owner.exists, 0, jnp.ones_like(own.x))
         return Sums(tuple(share * channel for channel in color), share, missing)
 
-    sums = sum_over(plan.intervals + 1, at_time)
+    sums = sum_over(plan.maps.total, at_time)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
     (state,) = images.states.here()
@@ -240,14 +240,20 @@ def _of_frame(
     return Found(around.color, known, jnp.full_like(own.x, jnp.inf))
 
 
-def _of_neighbor(
-    at: At, neighbor: Neighbor, time: Array, away: Array, ways: Sequence[Vector], found: Found
+def of_neighbor(
+    at: At,
+    neighbor: Neighbor,
+    time: Array,
+    away: Array,
+    ways: Sequence[Vector],
+    found: Found,
+    aside: Callable[[Array], Vector] | None = None,
 ) -> Found:
     """The nearest point of a neighbor frame that is at the pixel at a time, if it has one.
 
     A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. Each way is
     a velocity at which a point may have come: from where it leads, ``s <- p - d(s, t)`` is taken
-    a few times.
+    a few times. ``aside`` is the further displacement of a log depth that a lens causes.
     """
 
     def displacement(x: Array, y: Array) -> tuple[Array, ...]:
@@ -257,6 +263,9 @@ def _of_neighbor(
         share = (1 + time) / 2
         across = opening_x + share * (closing_x - opening_x)
         down = opening_y + share * (closing_y - opening_y)
+        if aside is not None:
+            aside_x, aside_y = aside(depth)
+            across, down = across + aside_x, down + aside_y
         return texel.number, across, down, depth
 
     for way_x, way_y in ways:

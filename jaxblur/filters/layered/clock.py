@@ -22,7 +22,7 @@ from ...frame import Frame
 from ...kernels import Image
 from ...shutter import Shutter
 from .neighbors import displacement_at
-from .paths import Path
+from .paths import Path, Vector
 
 CELLS = 256
 """Cells of the table, which are of equal light."""
@@ -85,19 +85,38 @@ class Clock(NamedTuple):
         return Times(Image(self.cells), Image(self.owners))
 
 
-def time_of(index: Array, intervals: int, like: Array) -> Array:
-    """The time of a map of owners, ``-1 + 2 k / intervals``; symmetric about 0 to the bit."""
-    return (2 * index - intervals).astype(like.dtype) * (1 / intervals)
+class Maps(NamedTuple):
+    """How many maps of owners there are, and when; fixed when a program is traced.
+
+    Attributes:
+        total: T of them.
+        parts: of the exposure, m. Without a lens the maps are at their ends, ``m = T - 1``: a slice
+            takes those before and after it. With one each map is in the middle of a part, ``m =
+            T``, and stands for it.
+    """
+
+    total: int
+    parts: int
+
+    @property
+    def through_lens(self) -> bool:
+        """Whether each map stands for a part."""
+        return self.total == self.parts
+
+
+def time_of(index: Array, maps: Maps, like: Array) -> Array:
+    """The time of a map of owners, ``(2 k - (T - 1)) / m``; symmetric about 0 to the bit."""
+    return (2 * index - (maps.total - 1)).astype(like.dtype) * (1 / maps.parts)
 
 
 def time_of_owners(
-    index: Array, intervals: int, like: Array, row: Array, times: Times | None, span: Span | None
+    index: Array, maps: Maps, like: Array, row: Array, times: Times | None, span: Span | None
 ) -> Array:
     """The time of a map of owners at a row.
 
     Args:
         index: of the map.
-        intervals: between the maps.
+        maps: of them all.
         like: has the type of the result.
         row: of the pixel that is exposed.
         times: None for the nominal shutter.
@@ -107,7 +126,7 @@ def time_of_owners(
         The time.
     """
     if times is None or span is None:
-        return time_of(index, intervals, like)
+        return time_of(index, maps, like)
     (share,) = times.owners.read_texel(index)
     return span.open + span.length * share + span.rate * (row.astype(like.dtype) - span.middle)
 
@@ -137,26 +156,34 @@ def time_of_light(
 
 
 def time_when_drawn(
-    index: Array, intervals: int, path: Path, row: Array, times: Times | None, span: Span | None
+    index: Array,
+    maps: Maps,
+    path: Path,
+    row: Array,
+    times: Times | None,
+    span: Span | None,
+    point: Vector | None = None,
 ) -> Array:
     """The time at which a map of owners shows a point, which is that of the row where it is then.
 
-    The solution of ``t = T + rate (row + t y + t^2 bend_y - middle)``, T the time in the middle.
+    The solution of ``t = T + rate (row + t y + t^2 bend_y - middle)``, T the time in the middle. A
+    point of the lens moves the row.
 
     Args:
         index: of the map.
-        intervals: between the maps.
+        maps: of them all.
         path: of the point.
         row: of the point at time 0.
         times: as `time_of_owners`.
         span: as `time_of_owners`.
+        point: of the unit disc, from which the map is seen; None without a lens.
 
     Returns:
         The time, within [-1, 1].
     """
     y, bend_y = path.y, path.bend_y
     if times is None or span is None:
-        return time_of(index, intervals, y)
+        return time_of(index, maps, y)
     (share,) = times.owners.read_texel(index)
 
     def away_from_0(slope: Array) -> Array:
@@ -164,6 +191,8 @@ def time_when_drawn(
         return jnp.where(jnp.abs(slope) < LEAST_SLOPE, least, slope)
 
     start = span.open + span.length * share + span.rate * (row.astype(y.dtype) - span.middle)
+    if path.disc is not None and point is not None:
+        start = start + span.rate * path.disc * point[1]
     time = start / away_from_0(1 - span.rate * y)
     for _ in range(STEPS):
         error = time - start - span.rate * time * (y + time * bend_y)
@@ -171,14 +200,12 @@ def time_when_drawn(
     return jnp.clip(time, -1, 1)
 
 
-def clock_of(
-    shutter: Shutter, intervals: int, height: int, dtype: DTypeLike
-) -> tuple[Clock, Array]:
+def clock_of(shutter: Shutter, maps: Maps, height: int, dtype: DTypeLike) -> tuple[Clock, Array]:
     """The times of a shutter.
 
     Args:
         shutter: in half exposures.
-        intervals: between the maps of owners.
+        maps: of owners.
         height: rows of the image.
         dtype: of the results.
 
@@ -199,7 +226,8 @@ def clock_of(
     lengths = jnp.where(lit, jnp.minimum(edges[1:] - edges[:-1], widest), edges[1:] - edges[:-1])
     weights = jnp.where(lit, transmission / jnp.where(lit, held, 1), 1)
     cells = jnp.stack([middles - lengths / 2, lengths, weights], axis=-1)
-    owners = _times_of(lax.stop_gradient(curve), jnp.arange(intervals + 1, dtype=dtype) / intervals)
+    shares = (jnp.arange(maps.total, dtype=dtype) + (maps.parts + 1 - maps.total) / 2) / maps.parts
+    owners = _times_of(lax.stop_gradient(curve), shares)
 
     length = close - open
     ends = jnp.abs(open + length * edges[jnp.array([0, -1])])

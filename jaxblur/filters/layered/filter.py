@@ -13,18 +13,21 @@ from jaxtyping import Array
 
 from ...frame import Frame, check_frame, check_frame_type, check_parameters, register_record
 from ...kernels import Image, cond_of_values, each_pixel, unchanged
+from ...lens import Lens
 from ...noise import Noise, resolve_noise
+from ...optics import check_lens_record
 from ...settings import Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
 from .._arguments import refuse_nan_motion, takes
 from .._masking import append_mask, divide_by_mask
-from .._weights import anything_moves
+from .._weights import SPEED_FLOOR, anything_moves, finite_depth
 from ..builtin import LAYERED_SLICE, check_layered
 from ..parameters import LayeredParameters
-from . import background
+from . import background, holes, views
+from .aperture import Aperture, maps_through_lens, on_disc, places_of, with_discs
 from .clock import Clock, clock_of, scaled
 from .neighbors import Neighbor, neighbor_of
-from .owners import Coding, intervals_of, owners_of, states_of
+from .owners import Coding, maps_of, owners_of, states_of
 from .paths import paths_of
 from .slices import Images, Inputs, Plan, blur_pixel
 
@@ -40,6 +43,7 @@ class Others(NamedTuple):
         shutter: exposure in frames.
         hidden: see `layered_with_hidden`.
         exposure: when light comes in; None for the nominal shutter.
+        lens: None for a pinhole.
     """
 
     before: Frame | None
@@ -47,6 +51,7 @@ class Others(NamedTuple):
     shutter: jax.Array
     hidden: jax.Array | None
     exposure: Shutter | Clock | None = None
+    lens: Lens | None = None
 
 
 def passes_before(
@@ -71,14 +76,14 @@ def passes_before(
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     slices = settings.samples // LAYERED_SLICE
-    intervals = intervals_of(slices)
+    maps = maps_of(slices)
     coding = Coding.of(settings.radius)
     paths = paths_of(frame, parameters, settings)
     clock = others.exposure if isinstance(others.exposure, Clock) else None
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    owners = Image(owners_of(paths, intervals, settings, clock))
+    owners = Image(owners_of(paths, maps, settings, clock))
     color, paths = Image(frame.color), Image(paths)
-    states = Image(states_of(owners, paths, intervals, settings))
+    states = Image(states_of(owners, paths, maps, settings))
     neighbors, their_times = _neighbors(others, frame, settings)
     hidden = others.hidden
     found = background.background_of(
@@ -92,11 +97,11 @@ def passes_before(
             times,
         ),
         background.Inputs(parameters, their_times, span),
-        background.Plan(settings, intervals, coding),
+        background.Plan(settings, maps, coding),
     )
     tap = Image(noise.tap.astype(frame.color.dtype))
     images = Images(color, paths, owners, states, Image(found), tap, times)
-    return images, Inputs(parameters, span), Plan(settings, slices, intervals, coding)
+    return images, Inputs(parameters, span), Plan(settings, slices, maps, coding)
 
 
 def _blur(
@@ -107,7 +112,8 @@ def _blur(
     others: Others,
     _: Array,
 ) -> jax.Array:
-    """The image."""
+    """The image without a lens."""
+    frame, parameters, others = _in_units(frame, parameters, others, settings)
     images, inputs, plan = passes_before(settings, frame, parameters, noise, others)
     height, width = frame.depth.shape
     return each_pixel(
@@ -115,6 +121,54 @@ def _blur(
         kept=frame.color,
         backend=settings.backend,
     )
+
+
+def _blur_through_lens(
+    settings: Settings,
+    frame: Frame,
+    parameters: LayeredParameters,
+    noise: Noise | None,
+    others: Others,
+    _: Array,
+) -> jax.Array:
+    """The image of motion and defocus at once."""
+    frame, parameters, others = _in_units(frame, parameters, others, settings)
+    (height, width), dtype = frame.depth.shape, frame.color.dtype
+    assert others.lens is not None
+    aperture = _aperture(others.lens, frame)
+    noise = resolve_noise(noise, settings.noise, height, width)
+    maps, coding = maps_through_lens(settings.samples), Coding.of(settings.radius)
+    paths = with_discs(paths_of(frame, parameters, settings), aperture, settings)
+    clock = others.exposure if isinstance(others.exposure, Clock) else None
+    times, span = (None, None) if clock is None else (clock.times(), clock.span)
+    places = places_of(maps, dtype)
+    points = Image(jnp.stack(on_disc((places[..., 0], places[..., 1])), axis=-1))
+    owners = Image(owners_of(paths, maps, settings, clock, points))
+    color, paths = Image(frame.color), Image(paths)
+    states = Image(states_of(owners, paths, maps, settings))
+    neighbors, their_times = _neighbors(others, frame, settings)
+    found = holes.holes_of(
+        holes.Images(color, paths, owners, states, points, neighbors, times),
+        holes.Inputs(parameters, aperture, their_times, span),
+        background.Plan(settings, maps, coding),
+    )
+    turns = Image(jnp.concatenate([noise.tap[..., None], noise.tile], axis=-1).astype(dtype))
+    images = views.Images(
+        *(color, paths, owners, states, Image(found), turns, Image(places), points, times)
+    )
+    plan = Plan(settings, settings.samples, maps, coding)
+    return each_pixel(
+        *(views.view_pixel, (height, width), images, Inputs(parameters, span), plan),
+        kept=frame.color,
+        backend=settings.backend,
+    )
+
+
+def _aperture(lens: Lens, frame: Frame) -> Aperture:
+    """The lens in pixels."""
+    lens = jax.tree.map(lambda value: jnp.asarray(value, frame.color.dtype), lens)
+    width = frame.depth.shape[1]
+    return Aperture(jnp.asarray(lens.radius_at_infinity(width)), jnp.asarray(lens.focus))
 
 
 def _neighbors(
@@ -136,8 +190,10 @@ def exposed(
     settings: Settings,
 ) -> tuple[Frame, LayeredParameters, Others]:
     """The inputs in units of the longest time at which light comes in, see `.clock`."""
-    intervals = intervals_of(settings.samples // LAYERED_SLICE)
-    clock, reach = clock_of(exposure, intervals, frame.depth.shape[0], frame.color.dtype)
+    maps = maps_of(settings.samples // LAYERED_SLICE)
+    if others.lens is not None:
+        maps = maps_through_lens(settings.samples)
+    clock, reach = clock_of(exposure, maps, frame.depth.shape[0], frame.color.dtype)
     near = {
         side: None if (neighbor := getattr(others, side)) is None else scaled(neighbor, reach)
         for side in ("before", "after")
@@ -146,6 +202,27 @@ def exposed(
     # Parameters are relative to the velocities that the frame has.
     parameters = dataclasses.replace(parameters, distinct=parameters.distinct * reach)
     return scaled(frame, reach), parameters, others
+
+
+def _in_units(
+    frame: Frame, parameters: LayeredParameters, others: Others, settings: Settings
+) -> tuple[Frame, LayeredParameters, Others]:
+    """The inputs of a shutter as `exposed` gives them; without one the same."""
+    if isinstance(others.exposure, Shutter):
+        return exposed(frame, parameters, others, others.exposure, settings)
+    return frame, parameters, others
+
+
+def _without_lens(
+    settings: Settings,
+    frame: Frame,
+    parameters: LayeredParameters,
+    noise: Noise | None,
+    others: Others,
+    spreads: Array,
+) -> jax.Array:
+    """The image where the lens spreads no pixel beyond itself."""
+    return _blur(settings, frame, parameters, noise, others._replace(lens=None), spreads)
 
 
 def _keep(frame: Frame, *others: Any) -> jax.Array:
@@ -167,18 +244,21 @@ def _layered(
         # The frame keeps its mask, for colors that are compared.
         frame = append_mask(frame).replace(valid=mask)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-    if isinstance(others.exposure, Shutter):
-        frame, parameters, others = exposed(frame, parameters, others, others.exposure, settings)
-    vectors = frame.velocity if frame.path is None else frame.path
-    anything = anything_moves(vectors)
-    blurred = cond_of_values(
-        *(anything, functools.partial(_blur, settings), _keep),
-        (frame, parameters, noise, others, anything),
-    )
+    if others.lens is not None:
+        discs = _aperture(others.lens, frame).disc(jnp.log(finite_depth(frame.depth)))
+        spreads = jnp.any(jnp.abs(discs) > SPEED_FLOOR)
+        usual, other = _blur_through_lens, functools.partial(_without_lens, settings)
+        operands = (frame, parameters, noise, others, spreads)
+    else:
+        frame, parameters, others = _in_units(frame, parameters, others, settings)
+        vectors = frame.velocity if frame.path is None else frame.path
+        usual, other = _blur, _keep
+        operands = (frame, parameters, noise, others, anything_moves(vectors))
+    blurred = cond_of_values(operands[-1], functools.partial(usual, settings), other, operands)
     return blurred if mask is None else divide_by_mask(blurred)
 
 
-@takes(LayeredParameters, Settings, more=("before", "after", "shutter", "exposure"))
+@takes(LayeredParameters, Settings, more=("before", "after", "shutter", "exposure", "lens"))
 def layered(
     frame: Frame,
     parameters: LayeredParameters,
@@ -189,6 +269,7 @@ def layered(
     after: Frame | None = None,
     shutter: ArrayLike = 0.5,
     exposure: Shutter | None = None,
+    lens: Lens | None = None,
 ) -> jax.Array:
     """Blur by slices of time.
 
@@ -203,7 +284,7 @@ def layered(
             noise and backend. ``bilinear`` mixes the two texels next to a guess, along the axis
             that its path follows more. ``blend`` mixes what a slice adds for the four texels next
             to a guess, one guess at a time, the others at their nearest texel.
-        noise: replaces the built-in noise; only ``tap`` is used.
+        noise: replaces the built-in noise; only ``tap`` is used without a lens.
         before: the frame before, sharp, of the same size and channels, with the motion of an
             exposure as long as that of ``frame``. It shows some of what ``frame`` hides.
         after: likewise the frame after.
@@ -213,6 +294,11 @@ def layered(
             of the frame's velocity; None for a box from -1 to 1. The radius limits the displacement
             up to the longest time from 0 at which light comes in: a frame that is exposed from 0
             to 2 needs twice the radius.
+        lens: blurs what it has out of focus too: each sample sees the frame at a time and from a
+            point of the lens. Every sample then counts for itself, not three to a slice. Where no
+            disc of the frame is above half a pixel the result is that without a lens, bit for bit.
+            None for a pinhole. The radius limits the sum of motion and disc; both fields of
+            ``noise`` are used.
 
     Returns:
         (H, W, C) blurred color, within the range of the colors read; pixels that nothing reaches
@@ -223,11 +309,13 @@ def layered(
     Raises:
         ValueError: shapes or dtypes disagree, there are fewer than three samples, the radius is
             above 4095, a parameter is not a scalar, the shutter is not above 0, the settings are
-            those of another filter, or the exposure is none.
+            those of another filter, or the exposure or the lens is none.
     """
     if exposure is not None:
         check_shutter_record(exposure)
-    others = Others(before, after, frames_of(shutter), None, exposure)
+    if lens is not None:
+        check_lens_record(lens)
+    others = Others(before, after, frames_of(shutter), None, exposure, lens)
     return _checked(frame, parameters, noise, others, settings)
 
 

@@ -110,7 +110,7 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
     """
     plan, limit = stack.plan, None
     if plan.settings.spacing:
-        motions = [longest_motion(at, layer, plan) for layer in images.layers]
+        motions = [longest_motion(at, layer.paths, layer.owners, plan) for layer in images.layers]
         limit = slices_along(functools.reduce(jnp.maximum, motions), plan)
     slices = [slices_at(at, layer, inputs, plan, limit) for layer in images.layers]
     count = plan.slices if limit is None else limit

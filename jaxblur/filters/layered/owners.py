@@ -3,8 +3,9 @@
 Every pixel that moves is drawn where its path has it at each of these times, and the nearest one
 stays: a scatter-max. A mark holds how near the pixel is and where it comes from, so that it is a
 pixel's *owner* that is found. Pixels at rest are not drawn: they own their place unless a mark is
-nearer. Nothing is drawn farther from its own place than the radius. So a part of a frame gives the
-same result as the whole frame, if it has so many pixels more at its border.
+nearer. (With a lens they are drawn like the others.) Nothing is drawn farther from its own place
+than the radius. So a part of a frame gives the same result as the whole frame, if it has so many
+pixels more at its border.
 """
 
 import functools
@@ -20,12 +21,12 @@ from jaxtyping import Array, Float, Int
 from ...kernels import At, Image, Outcome, each_pixel, largest_marks, mark_over, still_place
 from ...settings import Settings
 from .._weights import SPEED_FLOOR
-from .clock import Clock, Span, Times, time_when_drawn
-from .paths import Path
+from .clock import Clock, Maps, Span, Times, time_when_drawn
+from .paths import Path, Vector
 
 MOST_INTERVALS = 15
 """Largest number of intervals between the times, so that many samples need no more memory; odd, see
-`intervals_of`."""
+`maps_of`."""
 
 RESTS, MOVES, MISSES = 0, 1, 2
 """What `states_of` tells of a pixel."""
@@ -53,6 +54,8 @@ class Drawn(NamedTuple):
         bend_y: as `.paths.Path`.
         level: of the depth, see `Coding.level`.
         times: of the shutter; None for the nominal one.
+        disc: as `.paths.Path`; None without a lens.
+        points: (1, T, 2) of the unit disc, from which the maps are seen; None without a lens.
     """
 
     x: Image
@@ -61,6 +64,8 @@ class Drawn(NamedTuple):
     bend_y: Image
     level: Image
     times: Times | None
+    disc: Image | None
+    points: Image | None
 
 
 class Coding(NamedTuple):
@@ -108,62 +113,79 @@ class Coding(NamedTuple):
         return (mark & mask) - half, (down & mask) - half
 
 
-def intervals_of(slices: int) -> int:
-    """The number of intervals into which the times of `owners_of` cut the exposure.
+def maps_of(slices: int) -> Maps:
+    """The maps of owners without a lens, at the ends of equal parts of the exposure.
 
     No slice has its middle at one of the times, so that a reversed motion has the same pairs of
     them. What is narrower along its motion than the way of an interval is missed in between.
     """
-    return min(slices, MOST_INTERVALS)
+    intervals = min(slices, MOST_INTERVALS)
+    return Maps(intervals + 1, intervals)
 
 
 class Drawing(NamedTuple):
     """What is fixed when the program is traced."""
 
-    intervals: int
+    maps: Maps
     coding: Coding
 
 
 def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Outcome:
     """Pass L3: a pixel leaves a mark at its place at each of the times."""
     x, y, bend_x, bend_y, level = (image.here()[0] for image in images[:5])
-    path = Path(x, y, level, bend_x, bend_y)
+    disc = None if images.disc is None else images.disc.here()[0]
+    path = Path(x, y, level, bend_x, bend_y, disc)
     height, width = images.x.height, images.x.width
+    # Through a lens pixels at rest are drawn too, so that a map tells its holes by itself.
+    draws = moves(path) | drawing.maps.through_lens
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:
-        clock = images.times, span
-        place = path.at(time_when_drawn(k, drawing.intervals, path, at.row, *clock))
+        point = point_of(images.points, k)
+        time = time_when_drawn(k, drawing.maps, path, at.row, images.times, span, point)
+        place = path.at(time, point)
         # A vector that is NaN does not move, and leads to no place that an integer holds.
         x, y = (jnp.where(moves(path), part, 0) for part in place)
         right, down = (jnp.floor(part + 0.5).astype(jnp.int32) for part in (x, y))
         row, column = at.row + down, at.column + right
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         place = (k * height + jnp.where(inside, row, 0)) * width + jnp.where(inside, column, 0)
-        return (
-            (place, jnp.where(inside & moves(path), drawing.coding.mark(level, right, down), 0)),
-        )
+        return ((place, jnp.where(inside & draws, drawing.coding.mark(level, right, down), 0)),)
 
-    count = jnp.where(moves(path), drawing.intervals + 1, 0).astype(path.x.dtype)
-    return Outcome(mark_over(count, mark), where=moves(path))
+    count = jnp.where(draws, drawing.maps.total, 0).astype(path.x.dtype)
+    return Outcome(mark_over(count, mark), where=draws)
 
 
 def moves(path: Path) -> Array:
-    """Whether a pixel is blurred: its velocity or its bend is above the floor."""
+    """Whether a pixel is blurred: its velocity, its bend or its disc is above the floor."""
     squared = path.x**2 + path.y**2
     bent = path.bend_x**2 + path.bend_y**2
-    return (squared > SPEED_FLOOR**2) | (bent > SPEED_FLOOR**2)
+    moves = (squared > SPEED_FLOOR**2) | (bent > SPEED_FLOOR**2)
+    return moves if path.disc is None else moves | (jnp.abs(path.disc) > SPEED_FLOOR)
+
+
+def point_of(points: Image | None, index: Array) -> Vector | None:
+    """The point of the unit disc from which a map is seen; None without a lens."""
+    if points is None:
+        return None
+    x, y = points.read_texel(index)
+    return x, y
 
 
 def owners_of(
-    paths: jax.Array, intervals: int, settings: Settings, clock: Clock | None = None
+    paths: jax.Array,
+    maps: Maps,
+    settings: Settings,
+    clock: Clock | None = None,
+    points: Image | None = None,
 ) -> Int[Array, "times_height width"]:
-    """The owner of every pixel, as a mark, at ``intervals + 1`` times from -1 to 1.
+    """The owner of every pixel, as a mark, in every map.
 
     Args:
-        paths: (H, W, 5), see `.paths.Path`.
-        intervals: between the times.
+        paths: (H, W, 5), or with a lens (H, W, 6), see `.paths.Path`.
+        maps: how many, and when.
         settings: radius and backend are used.
         clock: of the shutter, whose times these are; None for the nominal one.
+        points: see `Drawn`.
 
     Returns:
         Images of marks below one another, one a time; 0 where nothing that moves is. Without
@@ -173,28 +195,29 @@ def owners_of(
         ValueError: the frame is too large.
     """
     height, width = paths.shape[:2]
-    length = (intervals + 1) * height * width
+    length = maps.total * height * width
     if length >= 2**31:
         raise ValueError(
             f"layered needs {length} marks for a frame of {width}x{height}, more than 2^31; use "
             "fewer samples, or blur parts of the frame."
         )
-    drawing = Drawing(intervals, Coding.of(settings.radius))
+    drawing = Drawing(maps, Coding.of(settings.radius))
     path = Path(*jnp.moveaxis(lax.stop_gradient(paths), -1, 0))
     level = drawing.coding.level(path.log_depth)
     x, y, bend_x, bend_y, level = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
     clock = lax.stop_gradient(clock)
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    images = Drawn(x, y, bend_x, bend_y, level, times)
+    disc = None if path.disc is None else Image(path.disc)
+    images = Drawn(x, y, bend_x, bend_y, level, times, disc, points)
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, span, drawing),
-        apart=intervals + 1,
+        apart=maps.total,
         backend=settings.backend,
     )
-    return marks.reshape((intervals + 1) * height, width)
+    return marks.reshape(maps.total * height, width)
 
 
-class Maps(NamedTuple):
+class MapsRead(NamedTuple):
     """Images of the program that looks through the maps.
 
     Attributes:
@@ -206,42 +229,49 @@ class Maps(NamedTuple):
     paths: Image
 
 
-def state_of_pixel(at: At, images: Maps, _: None, intervals: int) -> Outcome:
+def state_of_pixel(at: At, images: MapsRead, _: None, drawing: Drawing) -> Outcome:
     """What there is to do at a pixel: whether it rests, moves, or also lacks an owner."""
     marks = [
         images.owners.read(k * images.paths.height + at.row, at.column)[0]
-        for k in range(intervals + 1)
+        for k in range(drawing.maps.total)
     ]
     own = Path(*images.paths.here())
     largest = functools.reduce(jnp.maximum, marks)
     # The larger of two that follow each other: a slice takes the one that exists. None follows at
     # the ends of the exposure.
     pairs = [marks[0], marks[-1], *(jnp.maximum(*pair) for pair in itertools.pairwise(marks))]
-    misses = moves(own) & (functools.reduce(jnp.minimum, pairs) == 0)
-    state = jnp.where(misses, MISSES, jnp.where(moves(own) | (largest > 0), MOVES, RESTS))
+    # Through a lens each map stands for itself.
+    needed = marks if drawing.maps.through_lens else pairs
+    misses = moves(own) & (functools.reduce(jnp.minimum, needed) == 0)
+    crossed = largest > 0
+    if drawing.maps.through_lens:
+        zero = jnp.int32(0)
+        own_mark = drawing.coding.mark(drawing.coding.level(own.log_depth), zero, zero)
+        crossed = functools.reduce(jnp.logical_or, [mark != own_mark for mark in marks])
+    state = jnp.where(misses, MISSES, jnp.where(moves(own) | crossed, MOVES, RESTS))
     return Outcome((state.astype(own.x.dtype),))
 
 
 def states_of(
-    owners: Image, paths: Image, intervals: int, settings: Settings
+    owners: Image, paths: Image, maps: Maps, settings: Settings
 ) -> Float[Array, "height width 1"]:
     """What there is to do at every pixel.
 
     Args:
         owners: what `owners_of` gives.
-        paths: (H, W, 5), see `.paths.Path`.
-        intervals: as `owners_of`.
-        settings: backend is used.
+        paths: as `owners_of`.
+        maps: as `owners_of`.
+        settings: radius and backend are used.
 
     Returns:
         `MISSES` where the pixel moves and has no owner at two times that follow each other, or at
-        the first or the last; else `MOVES` where it moves or something moves across it; else
-        `RESTS`. Without derivatives.
+        the first or the last; with a lens where it has none in one of the maps. Else `MOVES` where
+        it moves or something moves across it, else `RESTS`. Without derivatives.
     """
-    images = Maps(owners, Image(lax.stop_gradient(paths.values)))
+    images = MapsRead(owners, Image(lax.stop_gradient(paths.values)))
     height, width = paths.values.shape[:2]
     return each_pixel(
-        *(state_of_pixel, (height, width), images, None, intervals),
+        *(state_of_pixel, (height, width), images, None, Drawing(maps, Coding.of(settings.radius))),
         backend=settings.backend,
     )
 
@@ -288,7 +318,13 @@ def read_owner(
 
 
 def moving_owner(
-    at: At, owners: Image, paths: Image, index: Array, time: Array, coding: Coding
+    at: At,
+    owners: Image,
+    paths: Image,
+    index: Array,
+    time: Array,
+    coding: Coding,
+    point: Vector | None = None,
 ) -> Owner:
     """`read_owner`, with the derivative that the motion of the owners gives.
 
@@ -305,6 +341,7 @@ def moving_owner(
         index: number of the time.
         time: at the pixel's row.
         coding: of the marks.
+        point: of the unit disc, from which the map is seen; None without a lens.
 
     Returns:
         The owner.
@@ -326,7 +363,7 @@ def moving_owner(
             nearer = other.level > front.level
             front = Owner(*(jnp.where(nearer, *pair) for pair in zip(other, front, strict=True)))
         path = Path(*paths.read_texel(front.texel))
-        part = path.at(time)[axis]
+        part = path.at(time, point)[axis]
         return jnp.where(front.exists & moves(path), jnp.floor(part + 0.5) - part, 0)
 
     return owner_beside(*still_place(moved(0), moved(1)))

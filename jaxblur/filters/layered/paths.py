@@ -36,6 +36,8 @@ class Path(NamedTuple):
         log_depth: natural logarithm of the depth.
         bend_x: of half the acceleration a; ``||v|| + ||a||`` is within the radius.
         bend_y: likewise downward.
+        disc: signed radius of the disc over which a lens spreads the pixel, pixels, negative before
+            the focus; None without a lens.
     """
 
     x: Array
@@ -43,15 +45,15 @@ class Path(NamedTuple):
     log_depth: Array
     bend_x: Array
     bend_y: Array
+    disc: Array | None = None
 
-    def at(self, time: Array) -> Vector:
-        """Displacement at a time in [-1, 1], pixels."""
-        return _along(self, time)
-
-
-def _along(path: Path, time: Array) -> Vector:
-    squared = time * time
-    return time * path.x + squared * path.bend_x, time * path.y + squared * path.bend_y
+    def at(self, time: Array, point: Vector | None = None) -> Vector:
+        """Displacement at a time in [-1, 1], seen from a point of the unit disc; pixels."""
+        squared = time * time
+        x, y = time * self.x + squared * self.bend_x, time * self.y + squared * self.bend_y
+        if point is None or self.disc is None:
+            return x, y
+        return x + self.disc * point[0], y + self.disc * point[1]
 
 
 class Images(NamedTuple):

@@ -21,7 +21,7 @@ from ...settings import Settings
 from .._sampling import find_texel, path_samples, read_color, read_color_along
 from .._weights import SPEED_FLOOR
 from ..parameters import LayeredParameters
-from .clock import Span, Times, time_of_light, time_of_owners
+from .clock import Maps, Span, Times, time_of_light, time_of_owners
 from .owners import RESTS, Coding, moving_owner, read_owner
 from .paths import Path
 
@@ -95,13 +95,13 @@ class Plan(NamedTuple):
     Attributes:
         settings: of the filter.
         slices: number of slices.
-        intervals: between the times at which owners are known.
+        maps: of owners.
         coding: of the owners.
     """
 
     settings: Settings
     slices: int
-    intervals: int
+    maps: Maps
     coding: Coding
 
 
@@ -124,7 +124,7 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
     """Pass L5: the mean over the slices of time."""
     limit = None
     if plan.settings.spacing:
-        limit = slices_along(longest_motion(at, images, plan), plan)
+        limit = slices_along(longest_motion(at, images.paths, images.owners, plan), plan)
     slice_at = slices_at(at, images, inputs, plan, limit)
 
     def slice_of_time(i: Int[Array, ""]) -> Sums:
@@ -148,16 +148,24 @@ def mean_of(sums: Sums, sharp: Sequence[Array]) -> tuple[Array, ...]:
     )
 
 
-def longest_motion(at: At, images: Images, plan: Plan) -> Array:
+def longest_motion(at: At, paths: Image, owners: Image, plan: Plan) -> Array:
     """The squared speed of the fastest of what a pixel shows and the pixel itself."""
-    own = Path(*images.paths.here())
-    size = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
-    longest = own.x**2 + own.y**2
-    for k in range(plan.intervals + 1):
-        owner = read_owner(at, images.owners, jnp.int32(k), own, plan.coding, size)
-        x, y = images.paths.read_texel(owner.texel, 2)
-        longest = jnp.maximum(longest, x**2 + y**2)
+    own = Path(*paths.here())
+    size = jnp.asarray(paths.height), jnp.asarray(paths.width)
+    longest = squared_reach(own)
+    for k in range(plan.maps.total):
+        owner = read_owner(at, owners, jnp.int32(k), own, plan.coding, size)
+        path = Path(*paths.read_texel(owner.texel))
+        longest = jnp.maximum(longest, squared_reach(path))
     return longest
+
+
+def squared_reach(path: Path) -> Array:
+    """The squared speed of a path, longer by its disc."""
+    squared = path.x**2 + path.y**2
+    if path.disc is None:
+        return squared
+    return jnp.square(jnp.sqrt(squared) + jnp.abs(path.disc))
 
 
 def slices_along(longest: Array, plan: Plan) -> Array | None:
@@ -181,7 +189,7 @@ def slices_at(
     Returns:
         Maps the number of a slice to it.
     """
-    settings, intervals, parameters = plan.settings, plan.intervals, inputs.parameters
+    settings, maps, parameters = plan.settings, plan.maps, inputs.parameters
     own = Path(*images.paths.here())
     count = plan.slices if limit is None else limit
     (noise,) = images.noise.here()
@@ -191,7 +199,7 @@ def slices_at(
 
     def make_guess(light: Array, index: Array) -> Guess:
         time, weight = time_of_light(light, at.row, images.clock, inputs.span)
-        own_time = time_of_owners(index, intervals, own.x, at.row, images.clock, inputs.span)
+        own_time = time_of_owners(index, maps, own.x, at.row, images.clock, inputs.span)
         owner = moving_owner(at, images.owners, images.paths, index, own_time, plan.coding)
         way = Path(*images.paths.read_texel(owner.texel))
         # The owner is at the pixel at its own time. From there the point that is at the pixel at
@@ -202,19 +210,9 @@ def slices_at(
         texel = find_texel(at, offset_x, offset_y, images.color, settings)
         x, y, depth = images.paths.read_texel(texel.number, 3)
         point = Path(x, y, depth, way.bend_x, way.bend_y)
-        # It lands if it hardly misses the pixel, or is of the owner's surface: if neither its
-        # velocity nor its depth differs. Where two of these are equal the derivative is that of
-        # one. What bends its path is nearly what bends the owner's.
         there_x, there_y = point.at(time)
         miss = jnp.square(offset_x + there_x) + jnp.square(offset_y + there_y)
-        apart = jnp.square(point.x - way.x) + jnp.square(point.y - way.y)
-        speed = jnp.square(way.x) + jnp.square(way.y)
-        alike = jnp.square(parameters.own_tolerance) * (speed + SPEED_FLOOR**2)
-        hits = 1.5 - miss * inverse_tolerance
-        moves_alike = 1.5 - apart / alike
-        as_deep = 1.5 - jnp.abs(point.log_depth - way.log_depth) * parameters.surface_sharpness
-        same = jnp.where(moves_alike < as_deep, moves_alike, as_deep)
-        lands = jnp.clip(jnp.where(hits > same, hits, same), 0, 1)
+        lands = landing(miss * inverse_tolerance, point, way, parameters)
         lands = jnp.where(texel.counts & owner.exists, lands, 0)
         if settings.fetch == "bilinear":
             along_x = jnp.abs(way.x) >= jnp.abs(way.y)
@@ -225,9 +223,9 @@ def slices_at(
 
     def slice_at(i: Array) -> Slice:
         # The owners before and after the slice, each for a time in its own half of it.
-        first = ((2 * i + 1).astype(own.x.dtype) * (intervals / 2) / count).astype(jnp.int32)
+        first = ((2 * i + 1).astype(own.x.dtype) * (maps.parts / 2) / count).astype(jnp.int32)
         # Beyond its own number of slices a pixel is evaluated too, beside others with more.
-        first = jnp.minimum(first, intervals - 1)
+        first = jnp.minimum(first, maps.parts - 1)
         center = (2 * i + 1).astype(own.x.dtype) - count
         before, after = (
             make_guess((center + side / 2 + jitter) / count, first + k)
@@ -247,6 +245,29 @@ def slices_at(
         return Slice(tuple(color), shares[0] + shares[1] + empty * known, light)
 
     return slice_at
+
+
+def landing(miss: Array, point: Path, way: Path, parameters: LayeredParameters) -> Array:
+    """How surely a guess has landed, 0 to 1.
+
+    It has if it hardly misses the pixel, or is of the owner's surface: if neither its velocity nor
+    its depth differs. Where two of these are equal the derivative is that of one. What bends its
+    path is nearly what bends the owner's.
+
+    Args:
+        miss: squared distance by which the point misses the pixel, in squared tolerances.
+        point: path of the point that was read.
+        way: path of the owner.
+        parameters: of the filter.
+    """
+    apart = jnp.square(point.x - way.x) + jnp.square(point.y - way.y)
+    speed = jnp.square(way.x) + jnp.square(way.y)
+    alike = jnp.square(parameters.own_tolerance) * (speed + SPEED_FLOOR**2)
+    hits = 1.5 - miss
+    moves_alike = 1.5 - apart / alike
+    as_deep = 1.5 - jnp.abs(point.log_depth - way.log_depth) * parameters.surface_sharpness
+    same = jnp.where(moves_alike < as_deep, moves_alike, as_deep)
+    return jnp.clip(jnp.where(hits > same, hits, same), 0, 1)
 
 
 def visible_shares(
