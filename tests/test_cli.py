@@ -301,7 +301,8 @@ def test_compiled_code_is_kept_between_runs_unless_asked_not_to(tmp_path):
     assert spawn(*command, "--no-compile-cache", env=environment).returncode == 0
     assert not (tmp_path / "cache").exists()
     assert spawn(*command, env=environment).returncode == 0
-    assert list((tmp_path / "cache" / "jaxblur").glob("*_blur*"))
+    kernels = tmp_path / "cache" / "jaxblur" / "kernels"
+    assert list(kernels.glob("jaxblur_pixel_velocity_*.xla"))
 
 
 def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
