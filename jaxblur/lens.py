@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import jax
@@ -57,7 +57,9 @@ class Lens:
         return cls(focus, f_number, focal_length, sensor_width, unit)
 
     @classmethod
-    def of_aperture(cls, radius: Any, focus: Any, focal: Any) -> "Lens":
+    def of_aperture(
+        cls, radius: "float | jax.Array", focus: "float | jax.Array", focal: "float | jax.Array"
+    ) -> "Lens":
         """The lens of an aperture and an angle of view, in a scene whose unit is a meter.
 
         Args:
@@ -75,11 +77,11 @@ class Lens:
         return cls(focus, length / (2 * MILLIMETERS * radius), length, sensor)
 
     @property
-    def aperture_radius(self) -> Any:
+    def aperture_radius(self) -> "float | jax.Array":
         """Of the aperture, scene units: what `jaxblur.scenes.ThinLens` takes."""
         return self.focal_length / (2 * MILLIMETERS * self.f_number * self.unit)
 
-    def radius_at_infinity(self, width: int) -> Any:
+    def radius_at_infinity(self, width: int) -> "float | jax.Array":
         """Radius of the disc of a point at infinity, ``w / s A / 2 f / (F - f)``.
 
         Args:

@@ -1,4 +1,4 @@
-"""The lens as an argument of functions of jax: a pytree, and its check."""
+"""`Lens` as an argument of jax functions: its registration as a pytree, and its check."""
 
 from .frame import register_record
 from .lens import Lens

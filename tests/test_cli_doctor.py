@@ -1,4 +1,4 @@
-"""``jaxblur doctor``: what it finds, and what it says of an installation that is broken."""
+"""``jaxblur doctor``: its report of a working installation, and of broken ones."""
 
 import importlib
 import json

@@ -37,7 +37,7 @@ NOT_A_CHOICE = frozenset(
         *("neighbors", "before", "after", "subframes"),
         # The exposure counts by its times and its points.
         *("exposure", *OPTIONS),
-        # Layers count by what is known of each before it is read; their files are inputs.
+        # Layers count by `stack`, which has a record of each; their files are inputs.
         *("layers", "holdout", "still"),
     }
 )

@@ -1,10 +1,9 @@
 """Pass L4 of `layered` through a lens: what is seen where a map of owners has a hole.
 
-A point of the lens sees behind a surface what the frame does not show. In a map of owners that is
-a hole beside the surface, and its other side is where what is hidden goes on. So each hole takes
-the color of the deepest owners around it in the same map: what a slice of time and a point of the
-lens see there is then blurred as they are. With neighbor frames, theirs is preferred as in
-`.background`.
+From a point of the lens, parts are visible that a nearer surface hides in the frame. In a map of
+owners they are holes beside that surface. The background goes on across a hole, so each hole takes
+the color of the deepest owners around it in the same map, and is blurred as they are. Colors of
+neighbor frames are preferred, as in `.background`.
 
 One color is kept for each pixel, the mean over the maps in which it has no owner. It is
 differentiable in the colors; where they are taken from is held.

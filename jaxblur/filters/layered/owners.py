@@ -136,7 +136,7 @@ def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Ou
     disc = None if images.disc is None else images.disc.here()[0]
     path = Path(x, y, level, bend_x, bend_y, disc)
     height, width = images.x.height, images.x.width
-    # Through a lens pixels at rest are drawn too, so that a map tells its holes by itself.
+    # With a lens, pixels at rest leave marks too: a place without a mark is then a hole.
     draws = moves(path) | drawing.maps.through_lens
 
     def mark(k: Int[Array, ""]) -> tuple[tuple[Array, Array]]:

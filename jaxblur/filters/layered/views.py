@@ -1,9 +1,10 @@
 """Pass L5 of `layered` through a lens: the mean over samples of time and aperture.
 
-Each sample has a map of owners: what is seen at the pixel at a time, from a point of the lens.
-Along the path and disc of the owner it looks for the point that is there at a time and from a point
-of the lens near those. Where that is another surface the owner itself is taken: it is in front at
-its own time. Where the map has no owner, `.holes` stands for it.
+Each sample reads one map of owners, which holds the texel that covers the pixel at one time, seen
+from one point of the lens. The sample has a time and a point near those of the map. Along the path
+and the disc of the owner it reads the texel that covers the pixel at its own time and point. If
+that texel is of another surface, the color of the owner is taken. If the map has no owner there,
+the color of `.holes` is taken.
 """
 
 from typing import NamedTuple

@@ -227,7 +227,7 @@ class Job:
             return
         self._waiting.clear()
         if self.cancelled:
-            # What it says of its interruption is no error.
+            # A canceled command reports that it was interrupted, which is no error.
             self.errors.clear()
         elif not self.errors:
             self.errors.append(f"jaxblur ended with status {status}: {self._last or 'no message'}")
