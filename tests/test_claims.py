@@ -28,6 +28,21 @@ def test_the_page_shows_the_results_beside_it():
     assert all(row.verdict.startswith(VERDICTS) for row in [*rows.values(), *elsewhere.ROWS])
 
 
+TEXTS = (".md", ".csv")
+DERIVED = {"0.37", "2.4"}
+"""Differences of two numbers of the page."""
+
+
+@pytest.mark.parametrize("row", elsewhere.ROWS, ids=lambda row: row.claim)
+def test_numbers_of_other_experiments_are_those_of_their_pages(row):
+    folders = [run.FOLDER / link for link in re.findall(r"\]\(([^)#]+)", row.tested + row.ours)]
+    pages = [page for link in folders for page in link.parent.glob("*") if page.suffix in TEXTS]
+    assert pages
+    text = " ".join(page.read_text(encoding="utf-8") for page in pages)
+    for number in re.findall(r"(?<![\w.])\d+\.\d+", row.ours):
+        assert number in text or number in DERIVED
+
+
 def test_a_page_without_markers_is_refused():
     with pytest.raises(ValueError, match="must hold the markers"):
         run.with_table(f"only {run.START}", "")
