@@ -119,7 +119,8 @@ def judge_noise(shots: Sequence[Shot]) -> list[tuple[Any, ...]]:
     for each in shots:
         for kind, animated in NOISES:
             seeds = [number if animated else 0 for number in range(len(each.frames))]
-            noises = [make_noise(kind, *SIZE, seed) for seed in seeds]
+            size = np.shape(each.frames[0].depth)
+            noises = [make_noise(kind, *size, seed) for seed in seeds]
             images = clip_of(
                 [
                     jaxblur.guertin2014(frame, published, settings=SETTINGS, noise=noise)
