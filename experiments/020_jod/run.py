@@ -119,8 +119,8 @@ def judge_noise(shots: Sequence[Shot]) -> list[tuple[Any, ...]]:
     for each in shots:
         for kind, animated in NOISES:
             seeds = [number if animated else 0 for number in range(len(each.frames))]
-            size = np.shape(each.frames[0].depth)
-            noises = [make_noise(kind, *size, seed) for seed in seeds]
+            height, width = np.shape(each.frames[0].depth)
+            noises = [make_noise(kind, height, width, seed) for seed in seeds]
             images = clip_of(
                 [
                     jaxblur.guertin2014(frame, published, settings=SETTINGS, noise=noise)

@@ -269,7 +269,8 @@ def _defocus(
     dtype = frame.color.dtype
     height, width = frame.depth.shape
     lens = jax.tree.map(lambda value: jnp.asarray(value, dtype), lens)
-    scalars = Scalars(lens.radius_at_infinity(width), jnp.asarray(lens.focus), extent.astype(dtype))
+    infinity, focus = jnp.asarray(lens.radius_at_infinity(width)), jnp.asarray(lens.focus)
+    scalars = Scalars(infinity, focus, extent.astype(dtype))
     run = functools.partial(
         each_pixel, size=(height, width), parameters=scalars, settings=settings, backend=backend
     )
