@@ -1,6 +1,7 @@
 """The command line as a whole: start-up, usage errors, exit status, what reaches a terminal."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -135,6 +136,13 @@ def test_library_messages_are_put_in_the_words_of_the_command_line():
         {"depth_from": None, "depth": "auto", "preset": "auto"},
     )
     assert said == "give --depth-from, or --depth=flat; `blender` is a preset, pass --drop-extra."
+
+
+def test_a_program_that_calls_main_keeps_its_level_of_log_messages(monkeypatch):
+    log = logging.getLogger("jaxblur")
+    monkeypatch.setattr(log, "level", logging.DEBUG)
+    assert run("info", CAR, "--quiet").status == 0
+    assert log.level == logging.DEBUG
 
 
 def test_bugs_are_not_dressed_up_as_user_errors(monkeypatch, tmp_path):

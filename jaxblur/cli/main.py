@@ -123,6 +123,7 @@ def _diagnostics(options: Mapping[str, Any]) -> Iterator[None]:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_LineFormatter())
     LOG.addHandler(handler)
+    level = LOG.level
     LOG.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
@@ -131,6 +132,7 @@ def _diagnostics(options: Mapping[str, Any]) -> Iterator[None]:
             yield
     finally:
         LOG.removeHandler(handler)
+        LOG.setLevel(level)
 
 
 def _level(verbose: int, quiet: bool) -> int:

@@ -149,7 +149,6 @@ def _messages() -> Iterator[list[tuple[int, str]]]:
     collector = Collector()
     LOG.addHandler(collector)
     LOG.setLevel(logging.INFO)
-    LOG.propagate = False
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("always", category=UserWarning)
