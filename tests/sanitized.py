@@ -18,13 +18,13 @@ from tests.test_kernels_operations import Planes
 from tests.test_native import make_frame, parameters_of, runs
 
 # One pixel, less than the lanes of a vector, and one more than a vector.
-SIZES = [(1, 1), (3, 7), (5, 17)]
+SIZES = {"nearest": [(1, 1), (5, 17)], "bilinear": [(3, 7), (5, 17)]}
 
 
 def run_filter(name: str) -> None:
     """Values and derivatives by every input, with both fetches."""
     parameters = jax.tree.map(jnp.float32, parameters_of(name))
-    for fetch in ("nearest", "bilinear"):
+    for fetch, sizes in SIZES.items():
         by_native, _ = runs(name, fetch=fetch)
 
         @jax.jit
@@ -32,7 +32,7 @@ def run_filter(name: str) -> None:
         def loss(inputs, by_native=by_native):
             return jnp.sum(by_native(*inputs) ** 2)
 
-        for size in SIZES:
+        for size in sizes:
             value, _ = loss((make_frame(size), parameters))
             assert np.isfinite(value), (name, fetch, size)
             print(name, fetch, size)
@@ -40,7 +40,7 @@ def run_filter(name: str) -> None:
 
 def run_neighbors() -> None:
     """Values of layered where it reads most; each size has motion that leads out of the image."""
-    for size in SIZES:
+    for size in ((1, 1), (5, 17)):
         frame = make_frame(size)
         velocity = 1e4 * frame.velocity
         fast = frame.replace(velocity=velocity.at[0, 0].set(jnp.array([jnp.inf, jnp.nan])))

@@ -56,6 +56,7 @@ def test_it_takes_functions_and_the_published_settings():
     assert_close(by_name[0], one)
 
 
+@pytest.mark.slow
 def test_noise_is_shared_or_one_for_each_frame():
     frame, noises = random_frame(SHAPE), [random_noise(SHAPE, seed=seed) for seed in range(3)]
     frames = stack([frame] * 3)

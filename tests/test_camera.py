@@ -67,6 +67,7 @@ def moves_of(scene, shutter):
     return rendering._moves(scene.world, triangle, jnp.float32(0), ends, SIZE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twist", [TWIST, TWIST * (0, 0, 0, 1, 1, 1)], ids=["screw", "straight"])
 def test_equals_the_exact_vectors_of_a_scene(twist):
     """The scene has another way to move on a screw: an orbit and travel along its axis."""

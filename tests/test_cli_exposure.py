@@ -214,13 +214,12 @@ def test_the_radius_is_that_of_the_longest_time(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("more", [(), ("--scheduler", "local")], ids=["here", "dask"])
-def test_sequences_respect_the_shutter_and_its_changes(tmp_path, more):
+def test_sequences_respect_the_shutter_and_its_changes(tmp_path):
     for frame in (1, 2):
         write_frame(tmp_path / f"in.{frame:04d}.exr", frame)
     curve = curve_file(tmp_path, "0\n1\n0\n")
     names = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr")
-    command = ("blur", *names, *FEW, "--neighbors", "off", "--noise", "none", *more)
+    command = ("blur", *names, *FEW, "--neighbors", "off", "--noise", "none")
     options = ("--shutter-curve", curve, "--readout", "0.25")
     outcome = run(*command, *options)
     assert outcome.status == 0 and "2 written" in outcome.out, outcome

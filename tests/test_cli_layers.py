@@ -62,6 +62,7 @@ def half(image):
     return np.asarray(image).astype(np.float16).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_files_are_blurred_together_as_in_python(files):
     hero, street, out = files / "hero.exr", files / "street.exr", files / "out.exr"
     outcome = run("layers", hero, street, "-o", out, *FEW)

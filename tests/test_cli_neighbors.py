@@ -274,6 +274,12 @@ def test_a_cluster_gives_the_same(shot):
     for frame, neighbors in ((1, (2,)), (2, (1, 3)), (3, (2,))):
         check(path, frame, *neighbors)
     assert "3 kept" in run(*command).out
+    # A worker takes the shutter too.
+    rolling = (*command, "--shutter-curve", "triangle", "--readout", "0.25", "--overwrite")
+    assert run(*rolling, "--scheduler", "local", "--workers", "1").status == 0
+    by_worker = output(path, 2)
+    assert run(*rolling).status == 0
+    np.testing.assert_array_equal(output(path, 2), by_worker)
 
 
 def subframes(count, shutter=0.5):

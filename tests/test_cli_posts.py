@@ -67,6 +67,7 @@ def test_posts_follow_the_blur_in_order(source, tmp_path):
     assert "jaxblur:then" not in notes(blurred)
 
 
+@pytest.mark.slow
 def test_the_blur_itself_looks_through_a_lens(source, tmp_path):
     out = tmp_path / "out.exr"
     printed = done("blur", source, "-o", out, *LAYERED, *LENS).err

@@ -65,9 +65,7 @@ def test_a_second_run_needs_no_jax_and_writes_the_same_bytes(tmp_path):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("cube_over_crates", ()),
         ("falling_cubes", ()),
-        ("sky_car", ()),
         ("falling_cubes", ("--filter", "guertin2014", "--param", "kappa=30", "--radius", "auto")),
         ("sky_car", ("--filter", "mcguire2012", "--backend", "xla")),
     ],

@@ -137,6 +137,7 @@ def psnr(image, target):
     return -10 * np.log10(np.mean((np.asarray(image) - target)[8:-8, 8:-8] ** 2))
 
 
+@pytest.mark.slow
 def test_two_layers_blur_better_than_the_flat_image(discs):
     target = truth()
     layers = [buffers.frame() for buffers in exr.read_deep_layers(discs, 2)]

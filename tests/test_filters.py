@@ -80,12 +80,13 @@ VARIANTS = [
 
 
 def cases():
-    """In the fast suite float64, by XLA, and float32 for every shape.
+    """In the fast suite float64, by XLA, at two shapes, and float32 for every shape.
 
     That native code does the same in every setting is in tests/test_native.py too.
     """
     for name, shape, options in VARIANTS:
-        yield name, shape, options, "float64"
+        marks = [] if options or shape in SHAPES[:2] else [pytest.mark.slow]
+        yield pytest.param(name, shape, options, "float64", marks=marks)
         marks = [pytest.mark.slow] if options and name == "guertin2014" else []
         yield pytest.param(name, shape, options, "float32", marks=marks)
 
@@ -118,7 +119,7 @@ def test_half_and_numpy_buffers_are_computed_in_float32():
     np.testing.assert_array_equal(actual, run("guertin2014", full))
 
 
-@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered", "guertin2014"))
 def test_jit_and_vmap_equal_the_plain_call(name):
     # Steep steps in depth and velocity magnify rounding: 8e-6 is the most that was seen.
     absolute = 2e-5 if name == "layered" else 0

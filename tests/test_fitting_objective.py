@@ -55,6 +55,7 @@ def batches_of(*frames, dtype: Any = np.float32):
     return make_batches(pairs, pixel_weights(pairs, None, "mse"))
 
 
+@pytest.mark.slow
 def test_expected_loss_is_the_average_error_of_what_runs():
     frame = random_frame(SHAPE, seed=3)
     noise = draw_noise(jax.random.key(5), SHAPE)

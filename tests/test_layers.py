@@ -9,7 +9,6 @@ import pytest
 
 import jaxblur
 from jaxblur import Layer, blur_layers
-from tests.helpers import slow
 
 SIZE = (40, 72)
 SETTINGS = jaxblur.Settings(samples=66, radius=24, fetch="bilinear", noise="none")
@@ -106,9 +105,8 @@ def test_layers_at_rest_are_composited_as_they_are():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.slow)])
-def test_derivatives_are_those_of_the_picture(backend):
-    settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
+def test_derivatives_are_those_of_the_picture():
+    settings = dataclasses.replace(SETTINGS, samples=21)
     front, back = layers_of(8.0, 0.0)
     target = truth_of(9.0, 0.0)
 
@@ -191,15 +189,16 @@ def empty_layer():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("backend", "place"), [("native", 0), slow("xla", 1)])
-def test_an_empty_layer_changes_nothing(backend, place):
-    settings = dataclasses.replace(SETTINGS, samples=21, backend=backend)
+@pytest.mark.parametrize("place", [0, 1])
+def test_an_empty_layer_changes_nothing(place):
+    settings = dataclasses.replace(SETTINGS, samples=21)
     layers = layers_of(9.0, -6.0)
     alone = blur_layers(layers, settings=settings)
     layers.insert(place, empty_layer())
     np.testing.assert_allclose(blur_layers(layers, settings=settings), alone, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_an_empty_layer_behind_the_others_changes_what_is_guessed_at_the_border_alone():
     layers = layers_of(9.0, -6.0)
     alone = np.asarray(blur_layers(layers, settings=SETTINGS))

@@ -181,6 +181,7 @@ def test_names_from_files_stay_text(tmp_path):
     assert html.count("<script") == 2 and "<img" not in html
 
 
+@pytest.mark.slow
 def test_a_page_that_would_be_too_large_is_cropped_around_the_error(tmp_path):
     truth, other = images((240, 320))
     write_result(tmp_path, "Large", [Shot("a", truth, [Picture("b", other)])])

@@ -60,7 +60,7 @@ def test_uniform_pan_is_the_box_filter_along_the_velocity():
     per_frame = float(render(a_scene, shutter=2.0, size=SIZE).velocity[27, 48, 0])
     blur = 4
     open_for = blur / abs(per_frame)
-    truth = np.asarray(accumulate(a_scene, 0.0, open_for, 512, SIZE))
+    truth = np.asarray(accumulate(a_scene, 0.0, open_for, 128, SIZE))
     large = (SIZE[0] * fine, SIZE[1] * fine)
     sharp = np.asarray(render(a_scene, size=large, subpixels=8).color)
     sharp = sharp.reshape(SIZE[0], fine, large[1], 3).mean(1)
@@ -85,10 +85,10 @@ def test_a_still_scene_accumulates_to_its_sharp_frame():
 
 def test_more_samples_come_closer_to_the_truth():
     a_scene = SCENES["crossing"]()
-    truth = accumulate(a_scene, samples=1024, size=SIZE)
-    errors = [psnr(accumulate(a_scene, samples=n, size=SIZE), truth) for n in (4, 16, 64, 256)]
+    truth = accumulate(a_scene, samples=512, size=SIZE)
+    errors = [psnr(accumulate(a_scene, samples=n, size=SIZE), truth) for n in (4, 16, 64)]
     assert np.all(np.diff(errors) > 3)
-    assert errors[-1] > 40
+    assert errors[-1] > 35
 
 
 def test_truth_is_aligned_with_the_frame_to_a_tenth_of_a_pixel():
@@ -176,7 +176,7 @@ def test_shutter_function_sets_the_profile_of_the_blur():
 @pytest.mark.parametrize("readout", [0.8, -0.8])
 def test_rolling_shutter_skews_a_moving_edge(readout):
     a_scene = bright_square(height=9.0)
-    image = accumulate(a_scene, shutter=0.2, samples=128, size=SIZE, readout=readout)
+    image = accumulate(a_scene, shutter=0.2, samples=64, size=SIZE, readout=readout)
     light = np.asarray(image)[..., 0]
     columns, rows = np.arange(SIZE[1]) + 0.5, np.arange(SIZE[0])
     centers = (light * columns).sum(1) / light.sum(1)

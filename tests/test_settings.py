@@ -6,7 +6,7 @@ import pytest
 import jaxblur
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.frame import check_frame
-from tests.helpers import random_frame
+from tests.helpers import random_frame, with_slow
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_mcguire_refuses_an_even_number_of_samples():
         )
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
 def test_equal_settings_trace_once(name, monkeypatch):
     info = filter_info(name)
     parameters, settings = info.make_parameters(), info.settings

@@ -118,9 +118,9 @@ def coverage(times, weights, begin=26, width=12, speed=8.0):
 @pytest.mark.parametrize(
     "shutter",
     [
-        Shutter.triangle(),
-        Shutter.trapezoid(-0.5, 1.5),
-        Shutter.gaussian(-2, 2),
+        slow(Shutter.triangle()),
+        slow(Shutter.trapezoid(-0.5, 1.5)),
+        slow(Shutter.gaussian(-2, 2)),
         Shutter.windows([(-1, -0.6), (0.6, 1)]),
         Shutter.box(1, 2),
     ],
@@ -135,6 +135,7 @@ def test_opacity_is_the_share_of_the_light_for_which_a_pixel_is_covered(shutter)
     assert abs(np.asarray(blurred)[8, :, 0] - expected).mean() < 0.015
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readout", [2.0, -2.0])
 def test_a_rolling_shutter_shears_what_crosses_the_image(readout):
     shutter = Shutter(-0.05, 0.05, readout=readout)
