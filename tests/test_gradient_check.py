@@ -136,7 +136,7 @@ has the ratios, and the causes as far as they are known."""
 @pytest.mark.parametrize(("name", "scene"), CASES)
 def test_velocities_on_other_frames(name, scene):
     frame, truth = on(scene)
-    table = check_gradient(name, frame, truth, object=None, draws=16)
+    table = check_gradient(name, frame, truth, object=None, draws=8)
     rows = [row for row in table.rows if row.name == "all velocities"]
     agree(dataclasses.replace(table, rows=tuple(rows)), BARS[name])
 

@@ -23,7 +23,7 @@ ROOT = pathlib.Path(__file__).parents[1]
 TESTS = {
     "tests/test_kernels_operations.py": "table or neighbors or loop or limit or reads or integers",
     "tests/test_kernels_marks.py": "native",
-    "tests/test_native.py": "threads or scalars or nan_and_infinity",
+    "tests/test_native.py": "scalars or nan_and_infinity",
 }
 """Expressions of pytest that choose tests by file: those that read, mark and add most."""
 

@@ -34,7 +34,7 @@ def spinning_bar(rate):
 
 @pytest.fixture(scope="module")
 def truth():
-    return scenes.accumulate(scenes.SCENES["crossing"](), samples=512, size=SIZE)
+    return scenes.accumulate(scenes.SCENES["crossing"](), samples=256, size=SIZE)
 
 
 def test_error_falls_with_the_number_of_samples(truth):
@@ -62,8 +62,8 @@ def test_one_seed_gives_one_image():
 def test_fast_rotation_within_one_stratum_follows_the_arc():
     """In a single stratum of a third of a turn a chord would cut through the middle."""
     scene = spinning_bar(4 * np.pi / 3)
-    true = scenes.accumulate(scene, samples=512, size=SIZE)
-    images = [stochastic(scene, samples=1, size=SIZE, seed=seed) for seed in range(4 * SEEDS)]
+    true = scenes.accumulate(scene, samples=256, size=SIZE)
+    images = [stochastic(scene, samples=1, size=SIZE, seed=seed) for seed in range(2 * SEEDS)]
     noise = rms(images[0] - true)
     assert rms(sum(images) / len(images) - true) < 1.5 * noise / len(images) ** 0.5
 
@@ -71,10 +71,10 @@ def test_fast_rotation_within_one_stratum_follows_the_arc():
 def test_time_is_weighted_by_the_shutter_function():
     scene = scenes.SCENES["crossing"]()
     true, box = (
-        scenes.accumulate(scene, samples=256, size=SIZE, shutter_function=name)
+        scenes.accumulate(scene, samples=128, size=SIZE, shutter_function=name)
         for name in ("triangle", "box")
     )
-    image = stochastic(scene, samples=256, size=SIZE, shutter_function="triangle")
+    image = stochastic(scene, samples=128, size=SIZE, shutter_function="triangle")
     assert rms(image - true) < 0.35 * rms(image - box)
 
 
@@ -86,7 +86,7 @@ def test_placement_moves_the_exposure():
 
 def test_a_closed_shutter_gives_the_sharp_image():
     scene = scenes.SCENES["crossing"]()
-    sharp = scenes.accumulate(scene, shutter=0.0, samples=256, size=SIZE)
+    sharp = scenes.accumulate(scene, shutter=0.0, samples=64, size=SIZE)
     assert rms(stochastic(scene, shutter=0.0, samples=64, size=SIZE) - sharp) < 0.01
 
 
