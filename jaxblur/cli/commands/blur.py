@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from .. import isolation, mattes, outputs, posts, results, sequence, strength
+from .. import isolation, mattes, outputs, posts, results, sequence, strength, views
 from ..arguments import (
     CommandError,
     add_command,
@@ -74,6 +74,7 @@ def add_parser(commands: Any) -> None:
     add_vector_options(parser)
     add_shutter_options(parser)
     add_motion_option(parser)
+    views.add_options(parser)
     strength.add_options(parser)
     posts.add_options(parser, "--then", through=True)
     add_nonfinite_option(add_source_options(parser))
@@ -143,11 +144,13 @@ def run(arguments: argparse.Namespace) -> int:
     _check_plan(arguments)
     check_motion(arguments)
     check_colors(arguments)
+    views.check(arguments)
     strength.check(arguments)
     mattes.check(arguments)
     posts.check(arguments)
     results.check(arguments)
     asked = Choice(*complete(arguments, read_fitted(arguments)))
+    views.check_samples(arguments, asked)
     if arguments.exposure is not None:
         require_shutter(asked.name, option_of(arguments))
     if posts.looks_through(arguments) and not arguments.plan:
