@@ -129,7 +129,7 @@ def add_compute_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-_OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
+_OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance", "tolerance_jod": "tolerance"}
 """Arguments of the library whose options have another name."""
 
 
