@@ -1,6 +1,8 @@
 """Stereo: several views in one part, named by the attribute multiView, or each in its parts."""
 
 import json
+import types
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
@@ -335,3 +337,37 @@ def test_views_of_other_sizes_are_refused(tmp_path):
     write_parts(tmp_path / "in.exr", parts)
     message = refused("blur", tmp_path / "in.exr", "-o", tmp_path / "out.exr", *FEW)
     assert "view left has 16x12 pixels, view right 16x10; blur them one after the other" in message
+
+
+def test_views_of_blender_and_their_passes(tmp_path):
+    path, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    channels = {}
+    for seed, view in enumerate(("left", "right")):
+        frame = plain_frame(SHAPE, seed=seed)
+        names = {f"Combined.{view}.{name}": name for name in "RGB"}
+        names |= {f"DiffDir.{view}.{name}": name for name in "RGB"} | {f"Depth.{view}.Z": "Z"}
+        pairs = zip("XYZW", ("X", "Y", "X", "Y"), strict=True)
+        names |= {f"Vector.{view}.{axis}": f"velocity.{of}" for axis, of in pairs}
+        channels |= {f"ViewLayer.{full}": frame[name] for full, name in names.items()}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), ("left", "right"))
+    write_parts(path, [(spec, channels)])
+    assert run("blur", path, "-o", out, "--also", "DiffDir", *FEW).status == 0
+    for view in ("left", "right"):
+        picture, passed = (
+            exr.read_channels(out, [f"ViewLayer.{layer}.{view}.{name}" for name in "RGB"])
+            for layer in ("Combined", "DiffDir")
+        )
+        np.testing.assert_array_equal(passed, picture)
+        assert np.abs(picture - exr.read_image(path, view)).max() > 0.01
+
+
+def test_views_that_share_a_cryptomatte_are_blurred_one_after_the_other():
+    ranks = types.SimpleNamespace(layer=types.SimpleNamespace(name="object"))
+    buffers = types.SimpleNamespace(color=np.zeros((2, 3, 3)))
+    states = types.SimpleNamespace(states=(("in.exr", 0, 0, 0),))
+    left: Any = types.SimpleNamespace(ranks=(ranks,), buffers=buffers, states=states)
+    right: Any = types.SimpleNamespace(ranks=(), buffers=buffers, states=states)
+    views.check_alike([left, right], ["left", "right"])
+    with pytest.raises(exr.JaxblurIOError, match="left and right share Cryptomatte object; blur"):
+        views.check_alike([left, left], ["left", "right"])
