@@ -279,15 +279,19 @@ def test_post_takes_all_views(tmp_path):
 @pytest.mark.parametrize(
     ("own", "given", "words"),
     [
-        (("depth",), (), ("view right has no vectors of its own", "render them", "--views left")),
-        (("vectors",), (), ("view right has no depth of its own; render", "--layer right takes Z")),
+        (
+            ("depth",),
+            (),
+            ("view right has no vectors of its own; render it", "out with --views left"),
+        ),
+        (("vectors",), (), ("view right has no depth of its own", "take Z with --layer right")),
         (None, ("--views", "left,middle"), ("no view 'middle' with color", "takes left, right")),
         (None, ("--views", "all", "--layer", "left"), ("--layer: chooses one view",)),
         (None, ("--view-samples", "middle=9"), ("no view 'middle'; the views are left, right",)),
         (None, ("--view-samples", "right"), ("expected NAME=N",)),
         (None, ("--view-samples", "right=0"), ("--view-samples", "from 1")),
         (None, ("--view-samples", "right=9", "--plan", "auto"), ("--plan chooses the samples",)),
-        (None, ("--disparity", "9", "--layer", "left"), ("--disparity", "not blurred by views")),
+        (None, ("--disparity", "9", "--layer", "left"), ("--disparity", "no views are blurred")),
         (None, ("--disparity", "9,0"), ("expected PX or PX,DISTANCE",)),
         (None, ("--truth", "in.exr"), ("--truth:", "choose it with --views left")),
     ],

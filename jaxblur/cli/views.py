@@ -160,13 +160,14 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
 
 def _check_others(arguments: argparse.Namespace, info: Any, names: Sequence[str]) -> None:
     """Reject samples and noise for views that are not blurred."""
-    there = f"the views are {', '.join(names)}" if names else "it is not blurred by views"
+    there = f"the views are {', '.join(names)}" if names else "no views are blurred"
     for name in getattr(arguments, "view_samples", None) or {}:
         if name not in names:
             raise CommandError(f"--view-samples: {info.path}: no view {name!r}; {there}.")
     if getattr(arguments, "disparity", None) and (not names or {*names} - {"left", "right"}):
         raise CommandError(
-            f"--disparity: is that of views left and right; {info.path}: {there}; leave it out."
+            f"--disparity: is that of views left and right, but of {info.path} {there}; leave it "
+            "out."
         )
 
 
@@ -174,9 +175,9 @@ def _check_own(arguments: argparse.Namespace, info: Any, name: str, names: Seque
     """Reject a view that would be blurred by vectors or depth of another one."""
     from jaxblur import exr
 
-    remedy = "render them"
+    remedy = "render it"
     if others := [other for other in names if other != name]:
-        remedy += f", or name the others alone: --views {','.join(others)}"
+        remedy += f", leave view {name} out with --views {','.join(others)}"
 
     def looked_in(path: Any, what: str) -> Any:
         found = exr.inspect(path or info.path)
@@ -188,8 +189,8 @@ def _check_own(arguments: argparse.Namespace, info: Any, name: str, names: Seque
         if exr.borrowed_from(found, name, channels):
             raise exr.JaxblurIOError(
                 found.path,
-                f"view {name} has no {what} of its own; {remedy}; --layer {name} takes "
-                f"{', '.join(channels)}.",
+                f"view {name} has no {what} of its own; {remedy}, or let it take "
+                f"{', '.join(channels)} with --layer {name}.",
             )
 
     taken, flat = (), arguments.depth == "flat"
