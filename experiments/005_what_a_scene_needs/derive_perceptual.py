@@ -124,7 +124,8 @@ def main() -> None:
     records = {
         label: record
         | {
-            "jod": [float(f"{value:.4g}") for value in regress(features, lost[label])],
+            # Zero is added, so that no zero is negative.
+            "jod": [float(f"{value:.4g}") + 0.0 for value in regress(features, lost[label])],
             "jod_spread": float(f"{left_out_spread(features, lost[label], names):.4g}"),
         }
         for label, record in known["candidates"].items()
