@@ -25,11 +25,6 @@ EXPOSURE, SIZE, TRUTH = 0.5, (180, 320), 128
 SEPARATION = 0.065
 NOISE = ("same pixels", "in the scene", "independent")
 FILTERS = ("guertin2014", "layered")
-CASES = (
-    *((kind, (35, 35)) for kind in NOISE),
-    *((NOISE[0], (35, 15)), (NOISE[1], (35, 15)), (NOISE[1], (15, 15))),
-)
-"""Noise, and samples of the left and the right eye."""
 
 
 class Pair(NamedTuple):
@@ -149,16 +144,22 @@ def main() -> None:
     for name in SCENES:
         pair = pair_of(name)
         for filter_name in FILTERS:
-            rows += [measure(name, pair, filter_name, *case) for case in CASES]
+            for kind in NOISE:
+                rows.append(measure(name, pair, filter_name, kind, (35, 35)))
+            rows.append(measure(name, pair, filter_name, NOISE[0], (35, 15)))
         print(name, flush=True)
         if name == "crossing":
             draw(pair, arguments.output / "two_eyes.png")
     means = []
     for filter_name in FILTERS:
-        for kind, (left, right) in CASES:
-            head = {"filter": filter_name, "noise": kind, "samples": f"{left} and {right}"}
-            mine = [row for row in rows if head.items() <= row.items()]
+        for kind, samples in [*((kind, "35 and 35") for kind in NOISE), (NOISE[0], "35 and 15")]:
+            mine = [
+                r
+                for r in rows
+                if (r["filter"], r["noise"], r["samples"]) == (filter_name, kind, samples)
+            ]
             numbers = {k: float(np.mean([r[k] for r in mine])) for k in list(rows[0])[4:]}
+            head = {"filter": filter_name, "noise": kind, "samples": samples}
             means.append({"scene": "mean", **head, **numbers})
     columns = list(rows[0])
     cells = [[row[column] for column in columns] for row in rows + means]
