@@ -35,7 +35,7 @@ def test_pairs_of_a_study_have_losses_and_votes():
     assert found[2].loss == 0 and found[0].loss == found[1].loss > 0.5
 
 
-def test_settings_of_half_the_cost_are_those_that_the_thesis_names():
+def test_settings_of_half_the_cost_are_found_in_either_order():
     pairs = [
         *(pair("T3A5", "T4A3", 0.1, 41, True), pair("T5A3", "T5A5", 0.0, 8, False)),
         pair("T3A3", "T4A3", 0.2, 46, True),

@@ -1,13 +1,13 @@
 """Do clips at half the cost look as good? Pairs of settings by ColorVideoVDP and by viewers.
 
-    python -m experiments.003_perception.sequences -o OUT            # six minutes on two cores
+    python -m experiments.003_perception.sequences -o OUT            # 8 minutes of processor time
     python -m experiments.003_perception.sequences -o OUT --quick    # two frames, small
 
 Eight frames of `rolling_sphere` at 30 frames per second for each setting, with noise that is new in
 every frame. Every setting of a study is compared with every other as a clip, in JOD; viewers tell a
 pair apart if their votes differ significantly. The limit is the loss in JOD below which pairs count
-as equal that agrees best with the viewers. Writes sequences.csv, sequences.md, half_cost.csv,
-half_cost.md, limits.csv, limits.md and clips.png.
+as equal that agrees best with the viewers. Writes sequences.csv, half_cost.csv and limits.csv, each
+with .md, and clips.png.
 """
 
 import itertools

@@ -31,7 +31,7 @@ from .statistics import FrameStatistics, frame_statistics
 
 DEFAULT_TOLERANCE = 0.5
 PERCEPTUAL_TOLERANCE = 0.1
-"""JOD: clips that differ by less are those that viewers did not tell apart, experiment 003."""
+"""JOD; pairs of clips that viewers told apart by their noise differ by more, experiment 003."""
 
 
 @dataclasses.dataclass(frozen=True)
