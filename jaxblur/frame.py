@@ -282,6 +282,39 @@ def check_frame(frame: Frame) -> Frame:
     return Frame(**{name: buffer.astype(dtype) for name, buffer in buffers.items()})
 
 
+def without_alpha(frame: Frame, truth: ArrayLike, what: str = "`truth`") -> tuple[Frame, jax.Array]:
+    """Check a frame and its true image, and keep the color channels of both.
+
+    Alpha is no light: files hold it beside three channels, and not always in both.
+
+    Args:
+        frame: as `check_frame` takes it.
+        truth: (H, W, C) true image.
+        what: the truth, for messages.
+
+    Returns:
+        The checked frame and the truth in its dtype, the first three channels of each if it has
+        more.
+
+    Raises:
+        ValueError: the frame is wrong, or the truth has another size or other channels.
+    """
+    frame = check_frame(frame)
+    image = jnp.asarray(truth, frame.color.dtype)
+    if image.ndim != 3 or image.shape[:2] != frame.color.shape[:2]:
+        raise ValueError(
+            f"{what} must have shape (height, width, channels) like the frame "
+            f"{frame.color.shape}, got {image.shape}; render both with the same data window."
+        )
+    color, image = (a[..., :3] if a.shape[-1] > 3 else a for a in (frame.color, image))
+    if color.shape != image.shape:
+        raise ValueError(
+            f"{what} must have {color.shape[-1]} color channels like the frame, got "
+            f"{image.shape[-1]}."
+        )
+    return frame.replace(color=color), image
+
+
 def check_parameters(parameters: object, kind: type) -> None:
     """Reject the parameters of another filter, and maps of parameters.
 

@@ -331,6 +331,14 @@ def test_outputs_that_cannot_be_written(tmp_path, name, word):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_output_below_a_file_names_it_once(tmp_path):
+    (tmp_path / "text.exr").touch()
+    message = refused("blur", CAR, "-o", tmp_path / "text.exr" / "out.exr")
+    assert f"{tmp_path / 'text.exr'}: is not a folder; choose another name" in message
+    message = refused("blur", CAR, "-o", tmp_path / "new" / "out.exr")
+    assert f"no folder {tmp_path / 'new'}; create it first" in message
+
+
 def test_nan_vectors_are_refused_by_name_or_taken_as_still_with_a_warning(tmp_path):
     channels = plain_frame((12, 16))
     channels["velocity.Y"][3, 5] = np.nan

@@ -153,7 +153,7 @@ def test_a_centered_box_is_the_length_alone(tmp_path, options):
             "--readout: guertin2014 knows only a box centered on the frame",
         ),
         (("--shutter-position", "end", "--filter", "mcguire2012"), "or pass --filter layered"),
-        (("--shutter-position", "end", "--plan", "auto"), "--shutter-position: --plan auto may"),
+        (("--shutter-position", "end", "--plan", "auto"), "--shutter-position: --plan may"),
         (
             ("--shutter-curve", "triangle", "--subframes", "sub.####.exr"),
             "--shutter-curve: sub-frames are equal parts",

@@ -94,7 +94,7 @@ def test_the_blur_itself_looks_through_a_lens(source, tmp_path):
     ("options", "message"),
     [
         (("--filter", "guertin2014", "--focus", "4"), "--focus: guertin2014 blurs by motion alone"),
-        (("--plan", "auto", "--focus", "4"), "--plan auto may choose a filter that takes no lens"),
+        (("--plan", "auto", "--focus", "4"), "--plan may choose a filter that takes no lens"),
         (("--focus", "4", "--lens-samples", "9"), "--lens-samples: only --then defocus takes it"),
         (("--f-number", "2"), "--f-number: add --focus"),
         (("--focus", "0.01"), "--focus: `lens.focus` must be beyond the focal length"),

@@ -125,9 +125,8 @@ PLAIN = {
 
 def plain_frame() -> Any:
     buffers = types.SimpleNamespace(pass_colors=None, guide=None)
-    return types.SimpleNamespace(
-        buffers=buffers, neighbors={}, exposure=None, lens=None, layers=(), ranks=(), truth=None
-    )
+    absent = dict.fromkeys(("exposure", "lens", "truth", "disparity"))
+    return types.SimpleNamespace(buffers=buffers, neighbors={}, layers=(), ranks=(), **absent)
 
 
 @pytest.fixture
@@ -171,6 +170,7 @@ def test_options_that_need_jax_are_not_served(serves, name, value):
     [
         *(("neighbors", {"before": None}), ("exposure", object()), ("layers", (1,))),
         *(("ranks", (1,)), ("truth", np.zeros(3)), ("lens", object())),
+        ("disparity", np.zeros((2, 2))),
     ],
 )
 def test_frames_that_need_jax_are_not_served(serves, name, value):

@@ -350,7 +350,7 @@ def test_a_png_beside_every_frame(shot):
         ({"input": "in.1001.exr", "--cut": "1001"}, ("--cut: is for sequences",)),
         ({"input": "in.1001.exr", "--scheduler": "local"}, ("--scheduler: is for sequences",)),
         ({"input": "no.####.exr"}, ("no.####.exr: no such frames",)),
-        ({"input": "in.%05d.exr"}, ("no such frames", "in.1001.exr has another padding")),
+        ({"input": "in.%05d.exr"}, ("asks for 5 digits, and there is in.1001.exr and", "in.####")),
         ({"--frames": "7-9"}, ("in.0007.exr: no such file, nor any other",)),
         ({"--frames": "a-b"}, ("--frames: expected frames such as",)),
         ({"--cut": "7"}, ("--cut: frame 7 is not among the frames",)),
@@ -368,6 +368,15 @@ def test_wrong_arguments_are_refused_with_a_remedy(shot, change, words):
     for word in words:
         assert word in message
     assert written(path) == []
+
+
+def test_a_single_hash_beside_numbers_without_padding(tmp_path):
+    for number in (1, 2, 12):
+        (tmp_path / f"clip.{number}.exr").touch()
+    pattern = tmp_path / "clip.#.exr"
+    message = refused("blur", pattern, "-o", tmp_path / "out.####.exr")
+    found = "asks for 4 digits, and there is clip.1.exr and 2 more"
+    assert f"{pattern} {found}: give '{tmp_path / 'clip.%d.exr'}'" in message
 
 
 def test_a_folder_that_cannot_be_written(shot, monkeypatch):

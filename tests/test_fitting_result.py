@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import re
 import subprocess
 import sys
@@ -94,6 +95,15 @@ def test_a_changed_file_is_refused_by_name_and_key(tmp_path, old, new, match):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ValueError, match=rf"{re.escape(str(path))}: .*{match}"):
         FitResult.load(path)
+
+
+def test_only_a_file_is_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe"):
+        with pytest.raises(ValueError, match=f"{path}: is not a file; give one that"):
+            FitResult.load(path)
+    with pytest.raises(FileNotFoundError):
+        FitResult.load(tmp_path / "none.toml")
 
 
 def test_whole_numbers_are_read_as_floats(tmp_path):

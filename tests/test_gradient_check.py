@@ -301,7 +301,7 @@ def test_rows_outside_a_range():
         ({"frame": np.zeros((12, 20, 3))}, "`frame` must be a jaxblur.Frame"),
         ({"truth": "truth.exr"}, r"`truth` must be the true image.*read_image"),
         ({"truth": np.zeros((12, 21, 3))}, r"`truth` must have shape .*got \(12, 21, 3\)"),
-        ({"truth": np.zeros((12, 20, 1))}, "`truth` must have 3 channels"),
+        ({"truth": np.zeros((12, 20, 1))}, "`truth` must have 3 color channels"),
         ({"truth": np.full((12, 20, 3), np.nan)}, "`truth` must be finite"),
         ({"parameters": jaxblur.GuertinParameters()}, "`parameters` must be None"),
         ({"settings": 3}, "`settings` must be Settings"),

@@ -162,6 +162,23 @@ def test_more_budget_never_loses_more():
     assert losses == sorted(losses, reverse=True)
 
 
+def test_more_tolerance_of_what_viewers_see_never_takes_longer():
+    chosen = [plan(STATISTICS, tolerance_jod=jod) for jod in (0.0, 0.1, 0.3, 1.0, 3.0)]
+    times = [each.milliseconds for each in chosen]
+    assert times == sorted(times, reverse=True) and times[0] > times[-1]
+    for each, jod in zip(chosen, (0.0, 0.1, 0.3, 1.0, 3.0), strict=True):
+        assert each.jod_loss + each.jod_spread <= jod
+    assert "to stay within 3 JOD" in chosen[-1].reason
+    assert f"{chosen[-1].jod_loss:.2f} ± {chosen[-1].jod_spread:.2f} JOD" in chosen[-1].reason
+
+
+def test_of_two_tolerances_both_hold():
+    loose, tight = plan(STATISTICS, tolerance_jod=3.0), plan(STATISTICS, tolerance_db=0.0)
+    assert loose.milliseconds < tight.milliseconds
+    both = plan(STATISTICS, tolerance_db=0.0, tolerance_jod=3.0)
+    assert both.settings == tight.settings and "within 0 dB and 3 JOD" in both.reason
+
+
 def test_without_limits_half_a_decibel_may_be_lost():
     assert plan(STATISTICS) == plan(STATISTICS, tolerance_db=0.5)
 
@@ -183,6 +200,11 @@ def test_a_quicker_machine_takes_less_time():
         (
             {"budget_ms": 1e-6, "tolerance_db": 1.0},
             "`budget_ms` must be at least .* to stay within 1 dB",
+        ),
+        ({"tolerance_jod": -1.0}, "`tolerance_jod` must be at least 0, got -1"),
+        (
+            {"budget_ms": 1e-6, "tolerance_jod": 0.2},
+            "`budget_ms` must be at least .* to stay within 0.2 JOD",
         ),
         ({"machine_speed": 0.0}, "`machine_speed` must be a number above 0, got 0"),
     ],
@@ -211,12 +233,17 @@ def test_stored_candidates_can_be_run(label):
     assert record["filter"] in jaxblur.FILTERS
     known = jaxblur.filter_info(record["filter"]).parameter_infos
     assert record["parameters"].keys() == known.keys(), "all, by name"
-    assert len(record["loss"]) == STATISTICS.features.size
-    assert record["spread"] >= 0 and record["milliseconds_per_megapixel"] > 0
+    assert len(record["loss"]) == len(record["jod"]) == STATISTICS.features.size
+    assert (
+        record["spread"] >= 0
+        and record["jod_spread"] >= 0
+        and record["milliseconds_per_megapixel"] > 0
+    )
 
 
 def test_the_full_filter_is_the_measure_of_loss():
     (full,) = [c for c in candidates().values() if not any(c["loss"]) and c["spread"] == 0]
+    assert not any(full["jod"]) and full["jod_spread"] == 0
     assert full["filter"] == "layered" and full["settings"]["samples"] == 35
 
 
@@ -236,16 +263,29 @@ def test_the_command_line_plans_and_says_why(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("given", "tolerance"), [((), planning.PERCEPTUAL_TOLERANCE), (("--tolerance", "2"), 2.0)]
+)
+def test_the_command_line_plans_by_what_viewers_see(tmp_path, given, tolerance):
+    out = tmp_path / "out.exr"
+    outcome = run("blur", CAR, "-o", out, "--plan", "perceptual", *given)
+    assert outcome.status == 0, outcome.err
+    chosen = plan(jaxblur.read_frame(CAR), tolerance_jod=tolerance)
+    assert f"jaxblur: plan: {chosen.reason}" in outcome.err
+    assert inspect(out).parts[0].attributes["jaxblur:filter"] == chosen.filter
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--plan", "auto", "--samples", "7"), "--samples: --plan auto chooses that"),
-        (("--plan", "auto", "--radius", "auto"), "--radius: --plan auto chooses that"),
-        (("--plan", "auto", "--param", "kappa=3"), "--param: --plan auto chooses that"),
-        (("--plan", "auto", "--tile-choice", "own"), "--tile-choice: --plan auto chooses that"),
-        (("--tolerance", "1"), "--tolerance: only --plan auto takes it"),
-        (("--budget", "1"), "--budget: only --plan auto takes it"),
+        (("--plan", "auto", "--samples", "7"), "--samples: --plan chooses that"),
+        (("--plan", "auto", "--radius", "auto"), "--radius: --plan chooses that"),
+        (("--plan", "auto", "--param", "kappa=3"), "--param: --plan chooses that"),
+        (("--plan", "auto", "--tile-choice", "own"), "--tile-choice: --plan chooses that"),
+        (("--tolerance", "1"), "--tolerance: only --plan takes it"),
+        (("--budget", "1"), "--budget: only --plan takes it"),
         (("--plan", "auto", "--budget", "0"), "expected a number above 0, got '0'"),
         (("--plan", "auto", "--budget", "1e-6"), "--plan auto: --budget must be at least"),
+        (("--plan", "perceptual", "--budget", "1e-6"), "--plan perceptual: --budget must be at"),
     ],
 )
 def test_options_that_contradict_a_plan_are_refused(tmp_path, options, message):

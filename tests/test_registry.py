@@ -221,7 +221,7 @@ def test_filters_of_ones_own_run_everywhere_but_where_they_say_no(brighten):
     ("text", "name", "match"),
     [
         (None, "mine", "there is no such file"),
-        ("", "mine", "registers no filter 'mine', but no filter; it must call jaxblur.register"),
+        ("", "mine", "registers no filter; it must call jaxblur.register"),
         ("1 / 0", "mine", "cannot be imported: ZeroDivisionError: division by zero"),
         ("x = = 1", "mine", "cannot be imported: SyntaxError"),
     ],
@@ -239,8 +239,12 @@ def test_files_that_register_nothing_are_rejected(tmp_path, text, name, match):
 
 def test_another_name_than_the_file_registers_is_rejected(brighten):
     path, _, name = brighten.rpartition(":")
-    with pytest.raises(ValueError, match=f"registers no filter 'darken', but {name}"):
+    with pytest.raises(ValueError, match=f"registers no filter 'darken'; give {path}:{name}"):
         load_filter(f"{path}:darken")
+    message = f"{path}: is a file, not a filter in it; give {path}:{name}."
+    with pytest.raises(ValueError, match=message):
+        load_filter(path)
+    assert message[:-1] in refused("blur", CAR, "-o", "x.exr", "--filter", path)
     with pytest.raises(ValueError, match=r"must be a name, or path/to/file.py:name"):
         load_filter("file:name")
 

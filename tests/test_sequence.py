@@ -92,7 +92,13 @@ def test_frames_on_disk_are_those_of_this_padding(tmp_path):
         (tmp_path / name).touch()
     names = parse_names(tmp_path / "s[1].####.exr")
     assert names.frames_on_disk() == [2, 10, 12345]
-    assert names.other_padding() == "s[1].7.exr"
+    other = names.other_padding()
+    assert other is not None and other.pattern == str(tmp_path / "s[1].%d.exr")
+    assert other.frames_on_disk() == [7, 12345]
+    assert parse_names(other.pattern) == other
+    (tmp_path / "u.1001.exr").touch()
+    other = parse_names(tmp_path / "u.#####.exr").other_padding()
+    assert other is not None and other.pattern == str(tmp_path / "u.####.exr")
     assert parse_names(tmp_path / "t.####.exr").frames_on_disk() == []
 
 

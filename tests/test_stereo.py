@@ -1,12 +1,17 @@
 """Stereo: several views in one part, named by the attribute multiView, or each in its parts."""
 
 import json
+import types
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
+import jaxblur
 from jaxblur import exr
+from jaxblur.cli import views
+from jaxblur.noise import make_noise
 from tests.command_line import refused, run
 from tests.exr_files import make_spec, plain_frame, read_raw, write_parts, write_single
 
@@ -68,7 +73,10 @@ def test_an_unknown_view_is_refused(tmp_path):
 
 def test_info_lists_the_views(tmp_path):
     stereo(tmp_path / "in.exr", own=("vectors",))
-    assert "views: left, right; --layer chooses one" in run("info", tmp_path / "in.exr").out
+    assert (
+        "views: left, right; `jaxblur blur` and `post` take all"
+        in run("info", tmp_path / "in.exr").out
+    )
     out = run("info", tmp_path / "in.exr", "--layer", "right").out
     assert "color: right.R, right.G, right.B\n" in out
     assert "depth: Z (view right has none of its own, so Z of view left is used)" in out
@@ -78,7 +86,8 @@ def test_info_lists_the_views(tmp_path):
 def test_views_are_blurred_one_after_the_other_without_a_warning(tmp_path):
     stereo(tmp_path / "in.exr", own=("depth", "vectors"))
     left, both = tmp_path / "left.exr", tmp_path / "both.exr"
-    assert "before" not in run("blur", tmp_path / "in.exr", "-o", left, *FEW).err
+    one = ("--views", "left")
+    assert "before" not in run("blur", tmp_path / "in.exr", "-o", left, *one, *FEW).err
     outcome = run("blur", left, "-o", both, "--layer", "right", *FEW)
     assert outcome.status == 0 and "before" not in outcome.err
     np.testing.assert_array_equal(exr.read_image(both), exr.read_image(left))
@@ -124,7 +133,10 @@ def test_views_may_be_parts(tmp_path, named):
         np.testing.assert_array_equal(buffers.velocity, wanted)
     default = exr.read_buffers(tmp_path / "in.exr", shutter=2)
     np.testing.assert_array_equal(default.color, color_of(views[0]))
-    assert "views: left, right; --layer chooses one" in run("info", tmp_path / "in.exr").out
+    assert (
+        "views: left, right; `jaxblur blur` and `post` take all"
+        in run("info", tmp_path / "in.exr").out
+    )
 
 
 def test_a_view_of_parts_without_its_own_vectors_takes_those_of_the_default_view(tmp_path):
@@ -151,7 +163,7 @@ def test_a_blurred_view_of_parts_leaves_the_other_parts(tmp_path):
         if not np.array_equal(old, new):
             changed.append(part.name)
     assert changed == ["rgba.right"]
-    outcome = run("blur", right, "-o", both, *FEW)
+    outcome = run("blur", right, "-o", both, "--layer", "left", *FEW)
     assert outcome.status == 0 and "before" not in outcome.err
     again = run("blur", both, "-o", tmp_path / "again.exr", "--layer", "right", *FEW)
     assert "both.exr: was blurred by guertin2014 before" in again.err
@@ -159,3 +171,207 @@ def test_a_blurred_view_of_parts_leaves_the_other_parts(tmp_path):
     given = ("--layer", "right", "--drop-extra")
     assert run("blur", tmp_path / "in.exr", "-o", dropped, *given, *FEW).status == 0
     assert [part.name for part in exr.inspect(dropped).parts] in (["rgba.right"], [""])
+
+
+def blurred(path, layer, seed=None, samples=5):
+    """A view as the library blurs it."""
+    frame = exr.read_frame(path, layer=layer)
+    settings = jaxblur.GuertinSettings(samples=samples, radius=4)
+    noise = None if seed is None else make_noise("ign", *SHAPE, seed)
+    return np.asarray(
+        jaxblur.guertin2014(frame, jaxblur.GuertinParameters(), settings=settings, noise=noise)
+    )
+
+
+@pytest.mark.parametrize("write", [stereo, stereo_parts])
+def test_all_views_are_blurred_into_one_file_of_the_same_layout(tmp_path, write):
+    path, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    more = {"named": "{layer}.{view}"} if write is stereo_parts else {"own": ("depth", "vectors")}
+    write(path, **more)
+    outcome = run("blur", path, "-o", out, *FEW)
+    assert outcome.status == 0 and "warning" not in outcome.err
+    for layer, seed in (("left", None), ("right", views.SEED_OF_A_VIEW)):
+        np.testing.assert_array_equal(exr.read_image(out, layer), blurred(path, layer, seed))
+    before, after = exr.inspect(path), exr.inspect(out)
+    assert after.channel_names == before.channel_names
+    assert exr.views_of(after) == ("left", "right")
+    for name in set(before.channel_names) - {*exr.choose_color(before, "left").channels}:
+        if name not in exr.choose_color(before, "right").channels:
+            old, new = (exr.read_channels(p, [name]) for p in (path, out))
+            np.testing.assert_array_equal(new, old)
+    notes = {k: v for part in after.parts for k, v in part.attributes.items()}
+    assert 'views = "left, right"' in notes["jaxblur:settings"]
+    for layer in ("left", "right"):
+        again = run(
+            "blur", out, "-o", tmp_path / "again.exr", "--overwrite", "--layer", layer, *FEW
+        )
+        assert "out.exr: was blurred by guertin2014 before" in again.err
+
+
+def test_samples_and_noise_of_a_view(tmp_path):
+    path, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    stereo(path, own=("depth", "vectors"))
+    given = ("--view-samples", "right=3", "--disparity", "9,5")
+    assert run("blur", path, "-o", out, *given, *FEW).status == 0
+    np.testing.assert_array_equal(exr.read_image(out, "left"), blurred(path, "left"))
+    frame = exr.read_frame(path, layer="right")
+    noise = jaxblur.shared_noise(make_noise("ign", *SHAPE), 9 * (1 / frame.depth - 1 / 5))
+    settings = jaxblur.GuertinSettings(samples=3, radius=4)
+    right = jaxblur.guertin2014(frame, jaxblur.GuertinParameters(), settings=settings, noise=noise)
+    np.testing.assert_allclose(exr.read_image(out, "right"), right, atol=1e-6)
+    settings = exr.inspect(out).parts[0].attributes["jaxblur:settings"]
+    assert 'view_samples = "right=3"' in settings and "disparity = 9.0" in settings
+
+
+def test_a_sequence_blurs_all_views_as_single_frames_do(tmp_path):
+    for number in (1, 2):
+        stereo(tmp_path / f"in.{number:04d}.exr", own=("depth", "vectors"))
+    given = ("--view-samples", "left=3", "--preset", "jaxblur", *FEW)
+    names = tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr"
+    assert run("blur", *names, *given).status == 0
+    alone = tmp_path / "alone.exr"
+    run("blur", tmp_path / "in.0002.exr", "-o", alone, "--seed", "frame", *given)
+    for layer in ("left", "right"):
+        made = exr.read_image(tmp_path / "out.0002.exr", layer)
+        np.testing.assert_array_equal(made, exr.read_image(alone, layer))
+        assert np.abs(made - exr.read_image(tmp_path / "in.0002.exr", layer)).max() > 0.01
+
+
+def test_layered_sees_the_neighbors_of_each_view(tmp_path):
+    frames = [tmp_path / f"in.{number:04d}.exr" for number in (1, 2)]
+    light = np.linspace(0.1, 0.9, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
+    for number, path in enumerate(frames):
+        channels = {}
+        for view, speed in (("", 1), ("right.", 2)):
+            moved = {name: light + np.float32(0.04 * speed * number) for name in "RGB"}
+            moved |= {"Z": 0 * light + 3, "velocity.X": 0 * light - speed, "velocity.Y": 0 * light}
+            channels |= {view + name: values for name, values in moved.items()}
+        spec = make_spec(channels)
+        spec.attribute("multiView", oiio.TypeDesc("string[2]"), ("left", "right"))
+        write_parts(path, [(spec, channels)])
+    few = ("--preset", "jaxblur", "--samples", "9", "--radius", "4")
+    names = tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr"
+    assert run("blur", *names, "--frames", "1-2", *few).status == 0
+    single = ("--after", frames[1], "--seed", "frame", *few)
+    assert run("blur", frames[0], "-o", tmp_path / "one.exr", *single).status == 0
+    for layer in ("left", "right"):
+        made = exr.read_image(tmp_path / "out.0001.exr", layer)
+        np.testing.assert_array_equal(made, exr.read_image(tmp_path / "one.exr", layer))
+    notes = exr.inspect(tmp_path / "out.0001.exr").parts[0].attributes
+    assert notes["jaxblur:neighbors"] == "after in.0002.exr"
+
+
+def test_post_takes_all_views(tmp_path):
+    path, out, one = (tmp_path / name for name in ("in.exr", "out.exr", "one.exr"))
+    stereo(path, own=("depth",))
+    assert run("post", path, "-o", out, "--do", "mlaa-depth").status == 0
+    for layer in ("left", "right"):
+        given = ("--overwrite", "--do", "mlaa-depth", "--layer", layer)
+        assert run("post", path, "-o", one, *given).status == 0
+        np.testing.assert_array_equal(exr.read_image(out, layer), exr.read_image(one, layer))
+    stereo(path, own=())
+    assert "view right has no depth of its own" in refused(
+        "post", path, "-o", out, "--overwrite", "--do", "mlaa-depth"
+    )
+    assert run("post", path, "-o", out, "--overwrite", "--do", "fxaa").status == 0
+
+
+@pytest.mark.parametrize(
+    ("own", "given", "words"),
+    [
+        (
+            ("depth",),
+            (),
+            ("view right has no vectors of its own; render it", "out with --views left"),
+        ),
+        (("vectors",), (), ("view right has no depth of its own", "take Z with --layer right")),
+        (None, ("--views", "left,middle"), ("no view 'middle' with color", "takes left, right")),
+        (None, ("--views", "all", "--layer", "left"), ("--layer: chooses one view",)),
+        (None, ("--view-samples", "middle=9"), ("no view 'middle'; the views are left, right",)),
+        (None, ("--view-samples", "right"), ("expected NAME=N",)),
+        (None, ("--view-samples", "right=0"), ("--view-samples", "from 1")),
+        (None, ("--view-samples", "right=9", "--plan", "auto"), ("--plan chooses the samples",)),
+        (None, ("--disparity", "9", "--layer", "left"), ("--disparity", "no views are blurred")),
+        (None, ("--disparity", "9,0"), ("expected PX or PX,DISTANCE",)),
+        (None, ("--truth", "in.exr"), ("--truth:", "choose it with --views left")),
+    ],
+)
+def test_views_that_cannot_be_blurred(tmp_path, own, given, words):
+    path = tmp_path / "in.exr"
+    stereo(path, own=("depth", "vectors") if own is None else own)
+    given = [path if text == "in.exr" else text for text in given]
+    few = () if "--plan" in given else FEW
+    message = refused("blur", path, "-o", tmp_path / "out.exr", *given, *few)
+    for word in words:
+        assert word in message
+    assert not (tmp_path / "out.exr").exists()
+
+
+def test_other_refusals_of_views(tmp_path):
+    plain, path = tmp_path / "plain.exr", tmp_path / "in.exr"
+    write_single(plain, plain_frame(SHAPE))
+    out = ("-o", tmp_path / "out.exr")
+    assert "no views with color; leave out --views" in refused(
+        "blur", plain, *out, "--views", "all"
+    )
+    stereo(path, own=("depth", "vectors"))
+    assert "a .png holds one view" in refused(
+        "blur", path, "-o", tmp_path / "out.png", "--views", "all"
+    )
+    assert "vectors: no view 'left'" in refused("blur", path, *out, "--velocity-from", plain)
+    mcguire = ("--filter", "mcguire2012", "--view-samples", "right=4")
+    assert "samples must be odd" in refused("blur", path, *out, *mcguire)
+
+
+def test_a_view_that_was_not_kept_is_not_asked_for(tmp_path):
+    stereo(tmp_path / "in.exr", own=("depth", "vectors"))
+    left, out = tmp_path / "left.exr", tmp_path / "out.exr"
+    run("blur", tmp_path / "in.exr", "-o", left, "--layer", "left", "--drop-extra", *FEW)
+    assert exr.views_of(exr.inspect(left)) == ("left", "right")
+    assert exr.colored_views(exr.inspect(left)) == ("left",)
+    assert run("post", left, "-o", out, "--do", "fxaa").status == 0
+
+
+def test_views_of_other_sizes_are_refused(tmp_path):
+    parts = []
+    for view, shape in (("left", SHAPE), ("right", (10, 16))):
+        frame = plain_frame(shape)
+        display = (0, 0, 16, 12)
+        parts.append((make_spec(frame, name=view, view=view, display=display), frame))
+    write_parts(tmp_path / "in.exr", parts)
+    message = refused("blur", tmp_path / "in.exr", "-o", tmp_path / "out.exr", *FEW)
+    assert "view left has 16x12 pixels, view right 16x10; blur them one after the other" in message
+
+
+def test_views_of_blender_and_their_passes(tmp_path):
+    path, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    channels = {}
+    for seed, view in enumerate(("left", "right")):
+        frame = plain_frame(SHAPE, seed=seed)
+        names = {f"Combined.{view}.{name}": name for name in "RGB"}
+        names |= {f"DiffDir.{view}.{name}": name for name in "RGB"} | {f"Depth.{view}.Z": "Z"}
+        pairs = zip("XYZW", ("X", "Y", "X", "Y"), strict=True)
+        names |= {f"Vector.{view}.{axis}": f"velocity.{of}" for axis, of in pairs}
+        channels |= {f"ViewLayer.{full}": frame[name] for full, name in names.items()}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), ("left", "right"))
+    write_parts(path, [(spec, channels)])
+    assert run("blur", path, "-o", out, "--also", "DiffDir", *FEW).status == 0
+    for view in ("left", "right"):
+        picture, passed = (
+            exr.read_channels(out, [f"ViewLayer.{layer}.{view}.{name}" for name in "RGB"])
+            for layer in ("Combined", "DiffDir")
+        )
+        np.testing.assert_array_equal(passed, picture)
+        assert np.abs(picture - exr.read_image(path, view)).max() > 0.01
+
+
+def test_views_that_share_a_cryptomatte_are_blurred_one_after_the_other():
+    ranks = types.SimpleNamespace(layer=types.SimpleNamespace(name="object"))
+    buffers = types.SimpleNamespace(color=np.zeros((2, 3, 3)))
+    states = types.SimpleNamespace(states=(("in.exr", 0, 0, 0),))
+    left: Any = types.SimpleNamespace(ranks=(ranks,), buffers=buffers, states=states)
+    right: Any = types.SimpleNamespace(ranks=(), buffers=buffers, states=states)
+    views.check_alike([left, right], ["left", "right"])
+    with pytest.raises(exr.JaxblurIOError, match="left and right share Cryptomatte object; blur"):
+        views.check_alike([left, left], ["left", "right"])

@@ -4,8 +4,8 @@
 
 Candidates of guertin2014 are fitted to catalogue scenes at 15 samples. All candidates are scored on
 these scenes at several numbers of samples and two shutters, and a ridge regression predicts the
-loss of each. Writes ``constants.json``, which belongs in the package; ``validate_plan``
-then tries it.
+loss of each. Writes ``constants.json``, which belongs in the package; ``derive_perceptual`` then
+adds the rules in JOD, and ``validate_plan`` tries it.
 """
 
 import dataclasses

@@ -129,7 +129,7 @@ def add_compute_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-_OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance"}
+_OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance", "tolerance_jod": "tolerance"}
 """Arguments of the library whose options have another name."""
 
 
@@ -304,7 +304,8 @@ def check_folder(folder: pathlib.Path) -> None:
     """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     if not existing.is_dir():
-        raise CommandError(f"{folder}: {existing} is not a folder; choose another name.")
+        which = "" if existing == folder else f"{existing} "
+        raise CommandError(f"{folder}: {which}is not a folder; choose another name.")
     if not os.access(existing, os.W_OK):
         raise CommandError(f"{folder}: the folder {existing} is not writable.")
 
@@ -315,7 +316,7 @@ def check_parent(output: pathlib.Path) -> None:
     Raises:
         CommandError: it is so.
     """
-    if not output.parent.is_dir():
+    if not output.parent.exists():
         raise CommandError(f"{output}: no folder {output.parent}; create it first.")
     check_folder(output.parent)
 

@@ -36,10 +36,12 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         buffers = dataclasses.replace(buffers, velocity=still, path=None)
         if loaded.lens is None:
             return apply_filter("pixel_velocity", buffers, {}, chosen.settings)
+        noise = noise_of(chosen.settings, seed, loaded)
         more = {"lens": loaded.lens}
-        return apply_filter(DEFAULT_FILTER, buffers, {}, chosen.settings, seed, more)
+        return apply_filter(DEFAULT_FILTER, buffers, {}, chosen.settings, noise, more)
     if loaded.layers:
         return _blur_layers(chosen, loaded, seed)
+    noise = noise_of(chosen.settings, seed, loaded)
     more: dict[str, Any] = {}
     if loaded.neighbors and takes_neighbors(chosen.name):
         given = {side: source.buffers.frame() for side, source in loaded.neighbors.items()}
@@ -48,7 +50,7 @@ def blur(chosen: Choice, loaded: Loaded, seed: int | None = None) -> Any:
         more["exposure"] = loaded.exposure.shutter()
     if loaded.lens is not None:
         more["lens"] = loaded.lens
-    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, seed, more)
+    return apply_filter(chosen.name, buffers, chosen.parameters, chosen.settings, noise, more)
 
 
 def _blur_layers(chosen: Choice, loaded: Loaded, seed: int | None) -> Any:
@@ -61,7 +63,7 @@ def _blur_layers(chosen: Choice, loaded: Loaded, seed: int | None) -> Any:
         filter_info(chosen.name).make_parameters(**chosen.parameters),
         loaded.buffers.pass_channels,
         settings=chosen.settings,
-        noise=noise_of(chosen.settings, seed, loaded.buffers.depth.shape),
+        noise=noise_of(chosen.settings, seed, loaded),
         shutter=loaded.shutter,
         exposure=None if exposure is None else exposure.shutter(),
     )
@@ -72,7 +74,7 @@ def apply_filter(
     buffers: Any,
     parameters: Mapping[str, float],
     settings: Settings,
-    seed: int | None = None,
+    noise: Any = None,
     neighbors: Mapping[str, Any] | None = None,
     call: Callable[..., Any] | None = None,
 ) -> Any:
@@ -83,7 +85,7 @@ def apply_filter(
         buffers: a `jaxblur.Frame`, or buffers as `read_buffers` gives them.
         parameters: by name; the others take their defaults.
         settings: how to run it; plain `Settings` will do for any filter.
-        seed: moves the built-in noise; None leaves it where it is.
+        noise: a `jaxblur.Noise`; None for the built-in one.
         neighbors: further arguments of a filter that takes neighbors: ``before`` and ``after``,
             each a `jaxblur.Frame`, and ``shutter``; ``exposure`` of one that takes a shutter,
             ``lens`` of one that takes a lens.
@@ -99,26 +101,26 @@ def apply_filter(
     info = filter_info(name)
     frame = buffers if isinstance(buffers, Frame) else buffers.frame()
     settings = checked_settings(settings, info.kind, info.name)
-    noise = noise_of(settings, seed, frame.depth.shape)
     values = info.make_parameters(**parameters)
     function: Any = call or info.call
     return np.asarray(function(frame, values, settings=settings, noise=noise, **(neighbors or {})))
 
 
-def noise_of(settings: Settings, seed: int | None, size: tuple[int, ...]) -> Any:
-    """The built-in noise, moved by a seed; None where it is not moved, or there is none.
+def noise_of(settings: Settings, seed: int | None, loaded: Loaded) -> Any:
+    """The built-in noise, moved by a seed or along with the surfaces; None where it is not moved.
 
     Args:
         settings: of the filter.
-        seed: see `apply_filter`.
-        size: rows and columns.
+        seed: moves it over the frame; None leaves it where it is.
+        loaded: the frame, whose disparity, if it has one, moves it to where the other eye sees it.
     """
-    from jaxblur.noise import make_noise
+    from jaxblur.noise import make_noise, shared_noise
 
-    if seed is None or settings.noise == "none":
+    if settings.noise == "none" or (seed is None and loaded.disparity is None):
         return None
-    height, width = size
-    return make_noise(settings.noise, height, width, seed)
+    height, width = loaded.buffers.depth.shape
+    noise = make_noise(settings.noise, height, width, seed or 0)
+    return noise if loaded.disparity is None else shared_noise(noise, loaded.disparity)
 
 
 def after_blur(
@@ -153,8 +155,9 @@ def after_blur(
             )
         from jaxblur.filters.guertin2014 import luma_hint
 
+        noise = noise_of(chosen.settings, seed, loaded)
         return apply_filter(
-            chosen.name, buffers, chosen.parameters, chosen.settings, seed, call=luma_hint
+            chosen.name, buffers, chosen.parameters, chosen.settings, noise, call=luma_hint
         )
 
     velocity = None if chosen.name == PASSED_THROUGH else buffers.velocity

@@ -93,12 +93,15 @@ def passed_through(asked: Choice) -> Choice:
 
 def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:
     """Choose from the frame's statistics what `complete` takes from the options, and log why."""
-    from jaxblur.planning import plan
+    from jaxblur.planning import PERCEPTUAL_TOLERANCE, plan
 
+    tolerance = {"tolerance_db": arguments.tolerance}
+    if arguments.plan == "perceptual":
+        tolerance = {"tolerance_jod": arguments.tolerance or PERCEPTUAL_TOLERANCE}
     try:
-        chosen = plan(buffers.frame(), arguments.budget, arguments.tolerance)
+        chosen = plan(buffers.frame(), arguments.budget, **tolerance)
     except ValueError as error:
-        raise CommandError(f"--plan auto: {error}") from error
+        raise CommandError(f"--plan {arguments.plan}: {error}") from error
     LOG.info("plan: %s", chosen.reason)
     values = {} if chosen.parameters is None else dataclasses.asdict(chosen.parameters)
     return Choice(chosen.filter, values, chosen.settings)

@@ -266,7 +266,7 @@ def filter_name(text: str) -> str:
     Raises:
         ArgumentTypeError: there is no such filter; the message suggests and lists.
     """
-    if ":" not in text:
+    if ":" not in text and not text.endswith(".py"):
         return one_of(text, names(), "filter")
     try:
         load_filter(text)
@@ -393,10 +393,8 @@ def require_lens(name: str, option: str) -> None:
     Raises:
         CommandError: the filter takes none; the message names those that do.
     """
-    lacks = f"{option}: {name} blurs by motion alone; add --then defocus"
-    if not takes_lens(name):
-        able = " or ".join(filter(takes_lens, names()))
-        raise CommandError(f"{lacks}, leave it out, or pass --filter {able}.")
+    lacks = f"{option}: {name} blurs by motion alone; add --then defocus to blur by the lens after"
+    _require(name, takes_lens, lacks)
 
 
 def _require(name: str, takes: Callable[[str], bool], lacks: str) -> None:

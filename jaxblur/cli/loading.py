@@ -63,6 +63,7 @@ class Loaded:
         changes: a `jaxblur.exr.ChannelChange` of each Cryptomatte layer, once they are blurred.
         selects: of `Source`.
         layers: of `Source`.
+        disparity: (H, W) pixels by which its noise is that of the left eye; None for its own.
     """
 
     buffers: Any
@@ -80,6 +81,7 @@ class Loaded:
     changes: tuple[Any, ...] = ()
     selects: bool = True
     layers: tuple[stack.ReadLayer, ...] = ()
+    disparity: Any = None
 
     def picture(self, blurred: Any) -> Any:
         """The blurred picture, without further passes."""
@@ -211,7 +213,19 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         ranks=source.ranks,
         selects=source.selects,
         layers=source.layers,
+        disparity=_disparity(arguments, buffers.depth),
     )
+
+
+def _disparity(arguments: argparse.Namespace, depth: Any) -> Any:
+    """Pixels by which the left view shows farther to the right what a right view shows."""
+    if getattr(arguments, "disparity", None) is None:
+        return None
+    import numpy as np
+
+    # Focal length times distance of the eyes, and where the eyes converge.
+    at_one, distance = arguments.disparity
+    return np.float32(at_one) * (1 / depth - np.float32(1 / distance))
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:

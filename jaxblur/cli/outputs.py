@@ -151,14 +151,30 @@ def _write_composite(
     )
 
 
-def provenance(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> dict[str, str]:
-    """Everything needed to make an output again; file names without folders."""
+def provenance(
+    arguments: argparse.Namespace,
+    chosen: Choice,
+    loaded: Loaded,
+    more: Mapping[str, Any] | None = None,
+) -> dict[str, str]:
+    """Everything needed to make an output again; file names without folders.
+
+    Args:
+        arguments: of the command.
+        chosen: what was run.
+        loaded: the frame.
+        more: further settings.
+
+    Returns:
+        Header attributes by name.
+    """
     buffers = loaded.buffers
     used = dataclasses.asdict(chosen.settings) | {
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
         "depth": buffers.depth_kind,
         "sky": arguments.sky,
+        **(more or {}),
     }
     if loaded.exposure is not None and chosen.name != PASSED_THROUGH:
         used |= loaded.exposure.notes()

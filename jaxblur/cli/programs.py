@@ -47,6 +47,7 @@ def serves(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> boo
         *(arguments.no_compile_cache, arguments.plan, arguments.subframes),
         *(arguments.posts, arguments.result),
         *(loaded.neighbors, loaded.exposure, loaded.layers, loaded.ranks),
+        loaded.disparity is not None,
         *(loaded.truth is not None, loaded.lens is not None),
         *(buffers.pass_colors is not None, buffers.guide is not None),
         arguments.seed is not None and chosen.settings.noise != "none",

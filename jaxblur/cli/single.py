@@ -2,12 +2,13 @@
 
 import argparse
 import dataclasses
+import itertools
 import logging
 import pathlib
 import time
 from typing import Any
 
-from . import blurring, mattes, outputs, programs, results, stack, strength
+from . import blurring, mattes, outputs, programs, results, stack, strength, views
 from .arguments import CommandError, check_outputs
 from .choice import Choice, choose
 from .compute import start_jax
@@ -47,29 +48,23 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         exr.inspect(source)
         for output in files:
             exr.refuse_overwrite(output, source)
-    outputs.warn_of_double_blur(arguments)
+    eyes = views.each(arguments)
+    for eye in eyes:
+        outputs.warn_of_double_blur(eye)
     check_outputs(files, arguments.overwrite)
     mattes.warn_of_sharp(arguments, arguments.input)
     started = time.perf_counter()
-    with remarks_once():
-        loaded = _load(arguments, asked)
-        parts = _load_subframes(arguments, asked, loaded)
+    exposed = _load_views(arguments, asked, eyes)
     read = time.perf_counter()
-    if not loaded.selects:
-        raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
-
-    chosen, blurred = _blur(arguments, asked, parts or [loaded])
-    changes = mattes.blur(chosen, loaded, arguments.seed, parts or [loaded])
-    loaded = dataclasses.replace(loaded, changes=changes)
-    blurred = blurring.after_blur(arguments, chosen, loaded, blurred, arguments.seed)
+    chosen, loaded, blurred = _blur_views(arguments, asked, eyes, exposed)
     done = time.perf_counter()
     images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
     scored = scores_of(images, loaded)
-    notes = outputs.provenance(arguments, chosen, loaded)
-    if parts:
+    notes = outputs.provenance(eyes[0], chosen, loaded, views.notes(eyes))
+    if arguments.subframes:
         names = ", ".join(path.name for path in _subframe_files(arguments))
         notes = {**notes, outputs.SUBFRAMES: names}
-    outputs.write(arguments, files, blurred, notes, loaded)
+    outputs.write(eyes[0], files, blurred, notes, loaded)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in files:
         print_line(f"{output}")
@@ -83,6 +78,45 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         shot = results.make_shot(name, loaded, picture, chosen.name, settings, sources)
         results.write(arguments, [shot])
     return 0
+
+
+def _load_views(
+    arguments: argparse.Namespace, asked: Choice, eyes: list[argparse.Namespace]
+) -> list[list[Loaded]]:
+    """Read the frame of each view, followed by its sub-frames."""
+    with remarks_once():
+        frames = [_load(eye, asked) for eye in eyes]
+        views.check_alike(frames, [eye.layer for eye in eyes])
+        exposed = [
+            [frame, *_load_subframes(eye, asked, frame)]
+            for eye, frame in zip(eyes, frames, strict=True)
+        ]
+    if not any(frame.selects for frame in frames):
+        raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
+    return exposed
+
+
+def _blur_views(
+    arguments: argparse.Namespace,
+    asked: Choice,
+    eyes: list[argparse.Namespace],
+    exposed: list[list[Loaded]],
+) -> tuple[Choice, Loaded, Any]:
+    """Blur each view, and put them together; the choice is that for the fastest of them."""
+    if arguments.plan:
+        start_jax(not arguments.no_compile_cache)
+    # Where there are sub-frames, they are blurred in place of the frame.
+    parts = [own[1:] or own for own in exposed]
+    fastest = max(itertools.chain(*parts), key=lambda part: part.speeds.suggested_radius)
+    chosen = choose(arguments, asked, fastest)
+    made = []
+    for eye, (loaded, *_), own in zip(eyes, exposed, parts, strict=True):
+        its = views.with_samples(eye, chosen)
+        blurred = _blur(eye, its, own)
+        changes = mattes.blur(its, loaded, eye.seed, own)
+        loaded = dataclasses.replace(loaded, changes=changes)
+        made.append((loaded, blurring.after_blur(eye, its, loaded, blurred, eye.seed)))
+    return chosen, *views.merged(made)
 
 
 def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:
@@ -132,21 +166,17 @@ def _subframe_files(arguments: argparse.Namespace) -> list[pathlib.Path]:
     return [names.path(number) for number in names.frames_on_disk()]
 
 
-def _blur(arguments: argparse.Namespace, asked: Choice, parts: list[Loaded]) -> tuple[Choice, Any]:
+def _blur(arguments: argparse.Namespace, chosen: Choice, parts: list[Loaded]) -> Any:
     """Blur the parts of the exposure, or the one frame of all of it, and take the mean."""
-    if arguments.plan:
-        start_jax(not arguments.no_compile_cache)
-    fastest = max(parts, key=lambda part: part.speeds.suggested_radius)
-    chosen = choose(arguments, asked, fastest)
     if len(parts) == 1 and programs.serves(arguments, chosen, parts[0]):
-        return chosen, programs.blur(chosen, parts[0].buffers)
+        return programs.blur(chosen, parts[0].buffers)
     start_jax(not arguments.no_compile_cache)
     if parts[0].neighbors and not takes_neighbors(chosen.name) and not arguments.subframes:
         LOG.warning("%s takes no neighbors: --before and --after are not used.", chosen.name)
     total = blurring.blur(chosen, parts[0], arguments.seed)
     for part in parts[1:]:
         total = total + blurring.blur(chosen, part, arguments.seed)
-    return chosen, total / len(parts) if len(parts) > 1 else total
+    return total / len(parts) if len(parts) > 1 else total
 
 
 def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:

@@ -46,6 +46,7 @@ from .choose import (
     choose_color as choose_color,
     choose_depth as choose_depth,
     choose_vectors as choose_vectors,
+    colored_views as colored_views,
     views_of as views_of,
 )
 from .color import (

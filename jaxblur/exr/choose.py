@@ -57,6 +57,25 @@ def views_of(info: FileInfo) -> tuple[str, ...]:
     return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
 
+def colored_views(info: FileInfo) -> tuple[str, ...]:
+    """List the views of a stereo file that have a picture of their own.
+
+    Args:
+        info: listing of the file.
+
+    Returns:
+        Names as `views_of` gives them. A view that was not kept when the file was written is named
+        in it, but has no channels.
+    """
+    return tuple(
+        view
+        for view in views_of(info)
+        if _color_groups(
+            {_without_view(info, n): n for n in info.channel_names if _view(info, n) == view}
+        )
+    )
+
+
 def _view_of_part(part: Part) -> str:
     """Return the view of a part of several, empty if it belongs to none in particular."""
     view = part.attributes.get("view")

@@ -329,8 +329,10 @@ def load_filter(reference: str) -> FilterInfo:
     Raises:
         ValueError: there is no such file, importing it fails, or it does not register the name.
     """
-    path, colon, name = reference.rpartition(":")
-    if not colon or not path.endswith(".py") or not name:
+    path, _, name = reference.rpartition(":")
+    if reference.endswith(".py"):
+        path, name = reference, ""
+    if not path.endswith(".py"):
         raise ValueError(f"`filter` must be a name, or path/to/file.py:name, got {reference!r}.")
     file = pathlib.Path(path).resolve()
     if not file.is_file():
@@ -340,8 +342,11 @@ def load_filter(reference: str) -> FilterInfo:
         _import_file(file, module, path)
     registered = sys.modules[module].__dict__[_REGISTERED_BY_FILE]
     if name not in registered:
-        listing = ", ".join(registered) or "no filter; it must call jaxblur.register"
-        raise ValueError(f"{path}: registers no filter {name!r}, but {listing}.")
+        if not registered:
+            raise ValueError(f"{path}: registers no filter; it must call jaxblur.register.")
+        ways = " or ".join(f"{path}:{known}" for known in registered)
+        lacks = f"registers no filter {name!r}" if name else "is a file, not a filter in it"
+        raise ValueError(f"{path}: {lacks}; give {ways}.")
     return register(registered[name])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from .. import metrics
-from ..frame import Frame, check_frame, check_frame_type
+from ..frame import Frame, check_frame_type, without_alpha
 from .losses import Pixel, inner_pixels
 from .objective import Batch
 
@@ -113,31 +113,14 @@ def _kind(value: Any) -> str:
 
 
 def _make_pair(name: str, frame: Frame, truth: Any) -> Pair:
-    frame = check_frame(frame)
-    truth = jnp.asarray(truth, frame.color.dtype)
-    if truth.ndim != 3 or truth.shape[:2] != frame.color.shape[:2]:
-        raise ValueError(
-            f"{name}: the truth must have shape (height, width, channels) like the frame "
-            f"{frame.color.shape}, got {truth.shape}; render both with the same data window."
-        )
-    color, truth = _color_channels(frame.color), _color_channels(truth)
-    if color.shape != truth.shape:
-        raise ValueError(
-            f"{name}: the frame has {color.shape[-1]} color channels, the truth "
-            f"{truth.shape[-1]}; give both the same."
-        )
-    frame = dataclasses.replace(frame, color=color)
-    buffers = {"color": color, "velocity": frame.velocity, "truth": truth}
+    frame, truth = without_alpha(frame, truth, f"{name}: the truth")
+    buffers = {"color": frame.color, "velocity": frame.velocity, "truth": truth}
     if frame.path is not None:
-        buffers["path"] = frame.path.reshape(*color.shape[:2], -1)
+        buffers["path"] = frame.path.reshape(*truth.shape[:2], -1)
     for what, buffer in buffers.items():
         _refuse_non_finite(name, what, np.isfinite(buffer).all(axis=-1))
     _refuse_non_finite(name, "depth", ~np.isnan(frame.depth) & ~np.isneginf(frame.depth))
     return Pair(name, frame, truth)
-
-
-def _color_channels(image: jax.Array) -> jax.Array:
-    return image[..., :3] if image.shape[-1] > 3 else image
 
 
 def _refuse_non_finite(name: str, what: str, good: np.ndarray) -> None:

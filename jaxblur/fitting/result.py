@@ -219,11 +219,14 @@ class FitResult:
             The result.
 
         Raises:
-            ValueError: the file is not TOML, of another schema, has unknown or missing keys or
-                values of another type, or its filter is not registered; the message names file
-                and key.
+            ValueError: it is a folder or a pipe, or the file is not TOML, of another schema, has
+                unknown or missing keys or values of another type, or its filter is not
+                registered; the message names file and key.
             OSError: the file cannot be read.
         """
+        if os.path.exists(path) and not os.path.isfile(path):
+            # A pipe would wait for its writer.
+            raise ValueError(f"{path}: is not a file; give one that `jaxblur fit` wrote.")
         with open(path, "rb") as file:
             try:
                 content = tomllib.load(file)

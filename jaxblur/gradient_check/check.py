@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from .._util.stages import Stage, Tell, untold
 from ..filters.registry import Parameters, filter_info
-from ..frame import Frame, check_frame, check_frame_type
+from ..frame import Frame, check_frame_type, without_alpha
 from ..settings import Settings, checked_settings
 from .measure import Loss, Measured, compile_programs, draw_noise, measure
 from .quantities import (
@@ -176,24 +176,10 @@ def _checked_pair(frame: Frame, truth: ArrayLike) -> tuple[Frame, jax.Array]:
             "`truth` must be the true image, (height, width, channels), got "
             f"{type(truth).__name__}; read a file by jaxblur.exr.read_image(path)."
         )
-    frame = check_frame(frame)
-    image = jnp.asarray(truth, frame.color.dtype)
-    if image.ndim != 3 or image.shape[:2] != frame.color.shape[:2]:
-        raise ValueError(
-            f"`truth` must have shape (height, width, channels) like `frame.color` "
-            f"{frame.color.shape}, got {image.shape}."
-        )
-    # Alpha is no light: files hold it beside three channels, and not always in both.
-    color, image = (a[..., :3] if a.shape[-1] > 3 else a for a in (frame.color, image))
-    if color.shape != image.shape:
-        raise ValueError(
-            f"`truth` must have {color.shape[-1]} channels like `frame.color`, got "
-            f"{image.shape[-1]}."
-        )
-    frame = frame.replace(color=color)
+    frame, image = without_alpha(frame, truth)
     known = True if frame.valid is None else np.asarray(frame.valid)[..., None] > 0
     for name, values, counts in (
-        ("frame.color", color, known),
+        ("frame.color", frame.color, known),
         ("frame.velocity", frame.velocity, True),
         ("truth", image, True),
     ):

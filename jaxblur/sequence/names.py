@@ -50,10 +50,27 @@ class FrameNames:
             number for number, name in self._numbered_files() if self.path(number).name == name
         )
 
-    def other_padding(self) -> str | None:
-        """Return the name of a file that differs from the sequence only in padding, or None."""
-        names = [name for n, name in self._numbered_files() if self.path(n).name != name]
-        return min(names, default=None)
+    def other_padding(self) -> "FrameNames | None":
+        """Find files that differ from the sequence only in padding.
+
+        Returns:
+            The names that most of the files in the folder have, or None if there are no others.
+
+        Raises:
+            OSError: the folder cannot be listed.
+        """
+        files = self._numbered_files()
+        longest = max((len(name) for _, name in files), default=0)
+        others = [self._padded(digits) for digits in range(1, longest) if digits != self.digits]
+        counts = [sum(names.path(n).name == name for n, name in files) for names in others]
+        # Of paddings that fit as many files, the longest shows best what is there.
+        most, digits = max(zip(counts, (o.digits for o in others), strict=True), default=(0, 0))
+        return self._padded(digits) if most else None
+
+    def _padded(self, digits: int) -> "FrameNames":
+        """Return the same names with another number of digits."""
+        place = "%d" if digits == 1 else "#" * digits
+        return FrameNames(f"{self.before}{place}{self.after}", self.before, digits, self.after)
 
     def _numbered_files(self) -> list[tuple[int, str]]:
         folder, start = os.path.split(self.before)

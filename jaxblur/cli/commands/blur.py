@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from .. import isolation, mattes, outputs, posts, results, sequence, strength
+from .. import isolation, mattes, outputs, posts, results, sequence, strength, views
 from ..arguments import (
     CommandError,
     add_command,
@@ -74,6 +74,7 @@ def add_parser(commands: Any) -> None:
     add_vector_options(parser)
     add_shutter_options(parser)
     add_motion_option(parser)
+    views.add_options(parser)
     strength.add_options(parser)
     posts.add_options(parser, "--then", through=True)
     add_nonfinite_option(add_source_options(parser))
@@ -120,15 +121,17 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("plan")
     group.add_argument(
         "--plan",
-        choices=("auto",),
-        help="choose filter, settings and parameters by statistics of the frame, and say why; "
-        "replaces all filter options, which are rejected beside it",
+        choices=("auto", "perceptual"),
+        help="choose filter, settings and parameters by statistics of the frame, and say why: "
+        "auto by PSNR, perceptual by what viewers of clips see (JOD); replaces all filter "
+        "options, which are rejected beside it",
     )
     group.add_argument(
         "--tolerance",
         type=positive_number,
-        metavar="DB",
-        help="with --plan: PSNR that may be lost against the full filter (0.5 without --budget)",
+        metavar="LOSS",
+        help="with --plan: what may be lost against the full filter, auto in dB of PSNR (0.5 "
+        "without --budget), perceptual in JOD (without it what viewers did not tell apart)",
     )
     group.add_argument(
         "--budget", type=positive_number, metavar="MS", help="with --plan: time for the filter"
@@ -143,11 +146,13 @@ def run(arguments: argparse.Namespace) -> int:
     _check_plan(arguments)
     check_motion(arguments)
     check_colors(arguments)
+    views.check(arguments)
     strength.check(arguments)
     mattes.check(arguments)
     posts.check(arguments)
     results.check(arguments)
     asked = Choice(*complete(arguments, read_fitted(arguments)))
+    views.check_samples(arguments, asked)
     if arguments.exposure is not None:
         require_shutter(asked.name, option_of(arguments))
     if posts.looks_through(arguments) and not arguments.plan:
@@ -165,17 +170,17 @@ def _check_plan(arguments: argparse.Namespace) -> None:
     excluded = names if arguments.plan else ("tolerance", "budget")
     if arguments.plan and arguments.exposure is not None:
         raise CommandError(
-            f"{option_of(arguments)}: --plan auto may choose a filter that takes no shutter; leave "
-            "out one of the two."
+            f"{option_of(arguments)}: --plan may choose a filter that takes no shutter; leave out "
+            "one of the two."
         )
     if arguments.plan and posts.looks_through(arguments):
         raise CommandError(
-            "--focus: --plan auto may choose a filter that takes no lens; leave out one of the "
-            "two, or add --then defocus."
+            "--focus: --plan may choose a filter that takes no lens; leave out one of the two, or "
+            "add --then defocus."
         )
     for name in excluded:
         # A radius of 0 stands for auto, and is given too.
         if getattr(arguments, name) not in (None, []):
             option = f"--{name.replace('_', '-')}"
-            reason = "--plan auto chooses that" if arguments.plan else "only --plan auto takes it"
+            reason = "--plan chooses that" if arguments.plan else "only --plan takes it"
             raise CommandError(f"{option}: {reason}; leave out one of the two.")

@@ -150,7 +150,10 @@ def _list(arguments: argparse.Namespace, before: _Before) -> int:
     _print_not_finite(bad)
     print_line()
     if views := exr.views_of(info):
-        print_line(f"views: {', '.join(views)}; --layer chooses one, {views[0]} is the default")
+        print_line(
+            f"views: {', '.join(views)}; `jaxblur blur` and `post` take all, --layer chooses one, "
+            f"{views[0]} is the default of other commands"
+        )
     for what, found in picture.items():
         channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
         print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")

@@ -75,6 +75,7 @@ def add_parser(commands: Any) -> None:
     isolation.add_options(parser, memory=16384, seconds=24 * 3600)
     # What `blur` has besides.
     nothing = ("velocity_from", "depth_from", "color_channels", "layer", "subframes", "result")
+    nothing += ("views", "view_samples", "disparity")
     more = ("plan", "tolerance", "budget", "parameters", "cryptomatte")
     parser.set_defaults(**dict.fromkeys((*nothing, *more)), drop_extra=True, stack=(), posts=())
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import jaxblur
 
-from .. import posts
+from .. import posts, views
 from ..arguments import (
     CommandError,
     add_command,
@@ -38,6 +38,7 @@ def add_parser(commands: Any) -> None:
         "--frames", type=frame_numbers, metavar="A-B[xN]", help="of a sequence (default: all)"
     )
     posts.add_options(parser, "--do", required=True)
+    views.add_options(parser, blurs=False)
     group = parser.add_argument_group("where color and depth are")
     group.add_argument("--layer", metavar="NAME", help="view layer, stereo view or part to look in")
     add_channel_options(group)
@@ -55,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from jaxblur import exr
 
     posts.check(arguments)
+    views.check(arguments)
     _check_depth(arguments)
     check_output(arguments.output)
     jobs = _jobs(arguments)
@@ -109,9 +111,50 @@ def _jobs(arguments: argparse.Namespace) -> list[tuple[pathlib.Path, pathlib.Pat
 def _run_one(
     arguments: argparse.Namespace, source: pathlib.Path, depth: pathlib.Path, output: pathlib.Path
 ) -> None:
+    import numpy as np
+
     from jaxblur import exr
 
     states = exr.FileStates.of([source, depth])
+    eyes = views.each(argparse.Namespace(**vars(arguments) | {"input": source}))
+    channels, images = [], []
+    for eye in eyes:
+        group = exr.choose_color(exr.inspect(source), eye.layer, eye.color_channels)
+        channels += group.channels
+        images.append(_through_posts(eye, depth))
+    if len({image.shape[:2] for image in images}) > 1:
+        names = " and ".join(eye.layer for eye in eyes)
+        raise CommandError(
+            f"{source}: views {names} have other sizes; do one after the other, with --layer."
+        )
+    for part in exr.inspect(source).parts:
+        if again := posts.earlier(part.attributes, arguments.posts):
+            LOG.warning("%s: has been through %s before; this does it again.", source, again)
+            break
+    sources = dict.fromkeys(path.name for path in (source, depth))
+    notes = {
+        "jaxblur:version": jaxblur.__version__,
+        "jaxblur:post_inputs": ", ".join(sources),
+        **posts.notes(arguments),
+    }
+    like = source if source.suffix.lower() == ".exr" else None
+    exr.write_image(
+        output,
+        np.concatenate(images, axis=-1),
+        like=like,
+        attributes=notes,
+        layer=eyes[0].layer,
+        color_channels=channels if like else None,
+        unchanged=states,
+    )
+    print_line(f"{output}")
+
+
+def _through_posts(arguments: argparse.Namespace, depth: pathlib.Path) -> Any:
+    """A picture, or a view of it, after the posts."""
+    from jaxblur import exr
+
+    source = arguments.input
     color = exr.read_image(source, arguments.layer, arguments.color_channels)
     distance = None
     if posts.needs_depth(arguments):
@@ -127,25 +170,4 @@ def _run_one(
                 f"{depth}: the depth has {columns}x{rows} pixels, but {source} has {width}x{height}"
                 "; render both with the same data window."
             )
-    for part in exr.inspect(source).parts:
-        if again := posts.earlier(part.attributes, arguments.posts):
-            LOG.warning("%s: has been through %s before; this does it again.", source, again)
-            break
-    image = posts.apply(arguments, color, distance, color.shape[2])
-    sources = dict.fromkeys(path.name for path in (source, depth))
-    notes = {
-        "jaxblur:version": jaxblur.__version__,
-        "jaxblur:post_inputs": ", ".join(sources),
-        **posts.notes(arguments),
-    }
-    like = source if source.suffix.lower() == ".exr" else None
-    exr.write_image(
-        output,
-        image,
-        like=like,
-        attributes=notes,
-        layer=arguments.layer,
-        color_channels=arguments.color_channels,
-        unchanged=states,
-    )
-    print_line(f"{output}")
+    return posts.apply(arguments, color, distance, color.shape[2])

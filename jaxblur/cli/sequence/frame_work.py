@@ -9,7 +9,7 @@ import queue
 from collections.abc import Iterator
 from typing import Any
 
-from .. import blurring, loading, mattes, outputs
+from .. import blurring, loading, mattes, outputs, views
 from ..choice import Choice, choose, passed_through
 from ..compute import start_jax
 from ..filtering import find_filter
@@ -38,42 +38,63 @@ class FrameWork:
     devices: queue.SimpleQueue[Any] | None = None
     shared: Any = None
 
-    def read(self, job: Any, _: None) -> Loaded:
-        """Read a frame, its truth and its neighbors."""
+    def read(self, job: Any, _: None) -> list[Loaded]:
+        """Read the views of a frame, its truth and its neighbors."""
         from jaxblur.sequence import Shared
 
         with about_frame(job.frame):
-            outputs.warn_of_double_blur(self._at(job))
+            eyes = views.each(self._at(job))
+            for eye in eyes:
+                outputs.warn_of_double_blur(eye)
         numbers = (job.frame, *job.neighbors)
         shared = self.shared or Shared(numbers)
-        own, *others = shared.take(numbers, functools.partial(self._read_source, job))
+        own, *others = shared.take(numbers, functools.partial(self._read_sources, job))
         with about_frame(job.frame):
-            loaded = loading.load(self._at(job), self.asked.settings, own.result())
-            neighbors = {
-                "before" if number < job.frame else "after": neighbor
-                for number, source in zip(job.neighbors, others, strict=True)
-                if (neighbor := self._seen(job.frame, loaded, number, source)) is not None
-            }
-            return loaded.with_neighbors(neighbors)
+            frames = [
+                loading.load(eye, self.asked.settings, source)
+                for eye, source in zip(eyes, own.result(), strict=True)
+            ]
+            views.check_alike(frames, [eye.layer for eye in eyes])
+            near: list[dict[str, Source]] = [{} for _ in frames]
+            for number, future in zip(job.neighbors, others, strict=True):
+                side = "before" if number < job.frame else "after"
+                for eye, source in enumerate(self._seen(job.frame, frames, number, future)):
+                    near[eye][side] = source
+            return [
+                frame.with_neighbors(neighbors)
+                for frame, neighbors in zip(frames, near, strict=True)
+            ]
 
-    def _read_source(self, job: Any, number: int) -> Source:
-        """Read a frame or its neighbor."""
+    def _read_sources(self, job: Any, number: int) -> list[Source]:
+        """Read the views of a frame or of its neighbor."""
         with about_frame(number):
-            return loading.read(self._at(job, number))
+            return [loading.read(eye) for eye in views.each(self._at(job, number))]
 
-    def _seen(self, frame: int, loaded: Loaded, number: int, source: Any) -> Source | None:
-        """A neighbor if the frame may see it, or None with a message."""
+    def _seen(self, frame: int, frames: list[Loaded], number: int, sources: Any) -> list[Source]:
+        """The views of a neighbor if all of them may be seen, or none with a message."""
         from jaxblur.exr import JaxblurIOError
-        from jaxblur.sequence import is_cut
 
         try:
-            neighbor = source.result()
+            neighbor = sources.result()
         except JaxblurIOError as error:
             LOG.warning("blurred without frame %d: %s", number, error)
-            return None
+            return []
+        if len(neighbor) != len(frames):
+            LOG.warning("blurred without frame %d: it has other views.", number)
+            return []
+        seen = all(
+            self._sees(frame, loaded, number, source)
+            for loaded, source in zip(frames, neighbor, strict=True)
+        )
+        return neighbor if seen else []
+
+    def _sees(self, frame: int, loaded: Loaded, number: int, neighbor: Source) -> bool:
+        """Whether a frame may see a neighbor; if not, a message says why."""
+        from jaxblur.sequence import is_cut
+
         if differs := mismatch(loaded, neighbor):
             LOG.warning("blurred without frame %d: %s %s.", number, neighbor.path, differs)
-            return None
+            return False
         first, second = neighbor.buffers, loaded.buffers
         if number > frame:
             first, second = second, first
@@ -83,11 +104,11 @@ class FrameWork:
                 "cut",
                 *sorted((number, frame)),
             )
-            return None
-        return neighbor
+            return False
+        return True
 
-    def blur(self, job: Any, loaded: Loaded) -> tuple[Loaded, Choice, Any]:
-        """Blur a frame, or pass it through."""
+    def blur(self, job: Any, frames: list[Loaded]) -> tuple[Loaded, Choice, Any]:
+        """Blur the views of a frame, or pass it through."""
         with about_frame(job.frame):
             start_jax(not self.arguments.no_compile_cache)
             if self.arguments.filter:
@@ -95,14 +116,24 @@ class FrameWork:
                 find_filter(self.arguments.filter)
             chosen = passed_through(self.asked)
             if job.action != "pass":
-                chosen = choose(self.arguments, self.asked, loaded)
+                fastest = max(frames, key=lambda frame: frame.speeds.suggested_radius)
+                chosen = choose(self.arguments, self.asked, fastest)
             with self._device():
-                seed = self._at(job).seed
-                blurred = blurring.blur(chosen, loaded, seed)
-                changes = mattes.blur(chosen, loaded, seed, [loaded])
-                blurred = blurring.after_blur(self.arguments, chosen, loaded, blurred, seed)
-            loaded = dataclasses.replace(loaded, changes=changes)
-            return loaded.without_neighbor_pixels(), chosen, blurred
+                made = [
+                    self._blur_view(eye, views.with_samples(eye, chosen), frame)
+                    for eye, frame in zip(views.each(self._at(job)), frames, strict=True)
+                ]
+            loaded, blurred = views.merged(made)
+            return loaded, chosen, blurred
+
+    def _blur_view(
+        self, eye: argparse.Namespace, chosen: Choice, loaded: Loaded
+    ) -> tuple[Loaded, Any]:
+        """Blur a view; returns it without what is not needed any more."""
+        blurred = blurring.blur(chosen, loaded, eye.seed)
+        changes = mattes.blur(chosen, loaded, eye.seed, [loaded])
+        blurred = blurring.after_blur(eye, chosen, loaded, blurred, eye.seed)
+        return dataclasses.replace(loaded, changes=changes).without_neighbor_pixels(), blurred
 
     def write(self, job: Any, made: tuple[Loaded, Choice, Any]) -> dict[str, Any]:
         """Write a frame, and score it; returns the entries of the report."""
@@ -110,9 +141,10 @@ class FrameWork:
 
         loaded, chosen, image = made
         with about_frame(job.frame):
-            notes = outputs.provenance(self._at(job), chosen, loaded) | job.marks
+            eyes = views.each(self._at(job))
+            notes = outputs.provenance(eyes[0], chosen, loaded, views.notes(eyes)) | job.marks
             notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
-            outputs.write(self._at(job), job.outputs, image, notes, loaded)
+            outputs.write(eyes[0], job.outputs, image, notes, loaded)
             if loaded.buffers.ignored:
                 LOG.warning("not finite: %s", loaded.buffers.ignored)
             images = {"input": loaded.buffers.color, "output": loaded.picture(image)}

@@ -187,5 +187,11 @@ def frames_on_disk(names: Any) -> list[int]:
 
 
 def _padding_hint(names: Any) -> str:
+    """What files there are instead, and the pattern for them."""
     other = names.other_padding()
-    return f"; {other} has another padding; ## stands for two digits" if other else ""
+    if other is None:
+        return ""
+    first, *more = other.frames_on_disk()
+    found = f"{other.path(first).name}{f' and {len(more)} more' if more else ''}"
+    asked = f"{names.digits} digits" if names.digits > 1 else "no padding"
+    return f"; {names.pattern} asks for {asked}, and there is {found}: give {other.pattern!r}"

@@ -19,7 +19,7 @@ differentiable in the colors; where they are taken from is held.
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -286,24 +286,25 @@ def of_neighbor(
     return found
 
 
-def background_of(
-    images: Images, inputs: Inputs, plan: Plan
+def known_colors(
+    program: Callable[..., Outcome], images: Any, inputs: Any, plan: Plan
 ) -> Float[Array, "height width channels_and_known"]:
-    """The color where the frame has nothing, for all pixels.
+    """Run pass L4 for all pixels.
 
     Args:
-        images: see `Images`.
-        inputs: scalars.
+        program: `background_of_pixel`, or `.holes.hole_of_pixel` through a lens.
+        images: of the program, among them ``color`` and ``paths``.
+        inputs: scalars of the program.
         plan: what is fixed.
 
     Returns:
         (H, W, C + 1): a color times how much of it is known, 0 to 1, and that; 0 where something is
-        there all the time.
+        there all the time, or in every map.
     """
     height, width = images.paths.values.shape[:2]
     kept = jnp.zeros((height, width, images.color.channels + 1), images.color.values.dtype)
     return each_pixel(
-        *(background_of_pixel, (height, width), images, inputs, plan),
+        *(program, (height, width), images, inputs, plan),
         kept=kept,
         backend=plan.settings.backend,
     )

@@ -86,7 +86,8 @@ def passes_before(
     states = Image(states_of(owners, paths, maps, settings))
     neighbors, their_times = _neighbors(others, frame, settings)
     hidden = others.hidden
-    found = background.background_of(
+    found = background.known_colors(
+        background.background_of_pixel,
         background.Images(
             color,
             paths,
@@ -147,7 +148,8 @@ def _blur_through_lens(
     color, paths = Image(frame.color), Image(paths)
     states = Image(states_of(owners, paths, maps, settings))
     neighbors, their_times = _neighbors(others, frame, settings)
-    found = holes.holes_of(
+    found = background.known_colors(
+        holes.hole_of_pixel,
         holes.Images(color, paths, owners, states, points, neighbors, times),
         holes.Inputs(parameters, aperture, their_times, span),
         background.Plan(settings, maps, coding),

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
-from ...kernels import At, Image, Outcome, each_pixel, sum_over
+from ...kernels import At, Image, Outcome, sum_over
 from ..parameters import LayeredParameters
 from .aperture import Aperture
 from .background import Found, Plan, Sums, mixed, of_neighbor
@@ -182,26 +182,3 @@ def _borrowed(
     for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
         borrowed = of_neighbor(at, neighbor, time, its_time - time, ways, borrowed, aside)
     return borrowed
-
-
-def holes_of(
-    images: Images, inputs: Inputs, plan: Plan
-) -> Float[Array, "height width channels_and_known"]:
-    """The color where a map has no owner, for all pixels.
-
-    Args:
-        images: see `Images`.
-        inputs: scalars.
-        plan: what is fixed.
-
-    Returns:
-        (H, W, C + 1): a color times how much of it is known, 0 to 1, and that; 0 where every map
-        has an owner.
-    """
-    height, width = images.paths.values.shape[:2]
-    kept = jnp.zeros((height, width, images.color.channels + 1), images.color.values.dtype)
-    return each_pixel(
-        *(hole_of_pixel, (height, width), images, inputs, plan),
-        kept=kept,
-        backend=plan.settings.backend,
-    )

@@ -37,7 +37,7 @@ class Images(NamedTuple):
         paths: (H, W, 5), see `.paths.Path`.
         owners: (T H, W, 1), see `.owners.owners_of`.
         states: (H, W, 1), see `.owners.states_of`.
-        background: (H, W, C + 1), see `.background.background_of`.
+        background: (H, W, C + 1), see `.background.known_colors`.
         noise: (H, W, 1) in [-1, 1).
         clock: tables of the shutter; None for the nominal one.
     """

@@ -29,7 +29,7 @@ class Images(NamedTuple):
         paths: (H, W, 6), see `.paths.Path`.
         owners: (T H, W, 1), see `.owners.owners_of`.
         states: (H, W, 1), see `.owners.states_of`.
-        background: (H, W, C + 1), see `.holes.holes_of`.
+        background: (H, W, C + 1), see `.background.known_colors`.
         noise: (H, W, 3): of the time in [-1, 1), of the aperture in [-1/2, 1/2).
         places: (1, T, 2), see `.aperture.places_of`.
         points: (1, T, 2) the same on the unit disc.

@@ -1,0 +1,349 @@
+"""``--views``: the views of a stereo file in one run, each by its own buffers, into one file."""
+
+import argparse
+import dataclasses
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from . import posts
+from .arguments import CommandError, channel_names, positive_integer
+from .choice import Choice
+from .filtering import find_filter
+from .loading import Loaded
+
+LOG = logging.getLogger("jaxblur")
+
+ALL = ["all"]
+SEED_OF_A_VIEW = 1_000_003
+"""Between the seeds of two views: beyond the numbers of frames, which are seeds too."""
+
+ONE_VIEW = {
+    "layer": "chooses one view or layer",
+    "color_channels": "names channels of one view",
+    "velocity_channels": "names channels of one view",
+    "depth_channel": "names a channel of one view",
+}
+"""Options that a run over several views cannot have, and why."""
+
+
+def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
+    """Add the options.
+
+    Args:
+        parser: of a command.
+        blurs: whether the command has a filter, with samples and noise.
+    """
+    group = parser.add_argument_group("views of a stereo file (multiView, or parts with a view)")
+    group.add_argument(
+        "--views",
+        type=channel_names,
+        metavar="all|NAME[,NAME]",
+        help="views to work on, each by its own depth and vectors; the output has the layout of "
+        "the input (default: all that have color, unless --layer or channels are given; one NAME "
+        "is --layer NAME)",
+    )
+    if not blurs:
+        return
+    group.add_argument(
+        "--view-samples",
+        type=_samples,
+        metavar="NAME=N[,NAME=N]",
+        help="samples per pixel of some views, such as right=17; the others take --samples",
+    )
+    group.add_argument(
+        "--disparity",
+        type=_disparity,
+        metavar="PX[,DISTANCE]",
+        help="share the noise of views left and right on the surfaces that both see: distance of "
+        "the eyes times focal length in pixels, the disparity at depth 1, and the depth at which "
+        "the eyes converge (default inf); without it each view has noise of its own",
+    )
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Reject options that contradict each other, before any file is read.
+
+    Raises:
+        CommandError: they do.
+    """
+    if arguments.views is None:
+        return
+    for name, why in ONE_VIEW.items():
+        if getattr(arguments, name, None) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise CommandError(f"{option}: {why}; leave out that, or --views.")
+    if len(arguments.views) == 1 and arguments.views != ALL:
+        # One view is a layer like another.
+        arguments.layer, arguments.views = arguments.views[0], None
+
+
+def check_samples(arguments: argparse.Namespace, asked: Choice) -> None:
+    """Reject samples of views that the filter cannot take.
+
+    Args:
+        arguments: of the command.
+        asked: filter and settings from the options.
+
+    Raises:
+        CommandError: a plan chooses the samples.
+        ValueError: the filter cannot run with such a number.
+    """
+    if not arguments.view_samples:
+        return
+    if arguments.plan:
+        raise CommandError("--view-samples: --plan chooses the samples; leave out one of the two.")
+    info = find_filter(asked.name)
+    for count in arguments.view_samples.values():
+        if info.check is not None:
+            info.check(dataclasses.replace(asked.settings, samples=count))
+
+
+def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
+    """The arguments for each view of a frame.
+
+    Args:
+        arguments: of the command, with the frame in ``input`` and its ``seed``, a number or None.
+
+    Returns:
+        One for each view, whose ``layer`` is the view; those of the command where the file has no
+        views, or where one layer is asked for.
+
+    Raises:
+        JaxblurIOError: the file has no such view, or a view lacks vectors or depth.
+        CommandError: an option is for other views.
+    """
+    from jaxblur import exr
+
+    info = exr.inspect(arguments.input)
+    names = _chosen(arguments, info)
+    _check_others(arguments, info, names)
+    if not names:
+        return [arguments]
+    views = []
+    for name in names:
+        _check_own(arguments, info, name, names)
+        noise = _noise_of(arguments, name, exr.views_of(info).index(name))
+        views.append(argparse.Namespace(**vars(arguments) | noise | {"layer": name}))
+    return views
+
+
+def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
+    """The names of the views; empty for a frame that is read without looking at views."""
+    from jaxblur import exr
+
+    asked, colored = arguments.views, list(exr.colored_views(info))
+    to_png = arguments.output.suffix.lower() == ".png"
+    if asked is None:
+        given = (getattr(arguments, name, None) for name in ("stack", *ONE_VIEW))
+        names = [] if any(given) or to_png or len(colored) < 2 else colored
+    elif not colored:
+        raise exr.JaxblurIOError(info.path, "no views with color; leave out --views.")
+    else:
+        names = colored if asked == ALL else list(dict.fromkeys(asked))
+    for name in names:
+        if name not in colored:
+            raise exr.JaxblurIOError(
+                info.path,
+                f"no view {name!r} with color; --views takes {', '.join(colored)} or all.",
+            )
+    if len(names) > 1 and to_png:
+        raise CommandError(f"--views: a .png holds one view; name one of {', '.join(names)}.")
+    if len(names) > 1 and getattr(arguments, "truth", None) is not None:
+        raise CommandError(
+            f"--truth: {info.path} has views {', '.join(names)}, and one view is compared; choose "
+            f"it with --views {names[0]}."
+        )
+    return names
+
+
+def _check_others(arguments: argparse.Namespace, info: Any, names: Sequence[str]) -> None:
+    """Reject samples and noise for views that are not blurred."""
+    there = f"the views are {', '.join(names)}" if names else "no views are blurred"
+    for name in getattr(arguments, "view_samples", None) or {}:
+        if name not in names:
+            raise CommandError(f"--view-samples: {info.path}: no view {name!r}; {there}.")
+    if getattr(arguments, "disparity", None) and (not names or {*names} - {"left", "right"}):
+        raise CommandError(
+            f"--disparity: is that of views left and right, but of {info.path} {there}; leave it "
+            "out."
+        )
+
+
+def _check_own(arguments: argparse.Namespace, info: Any, name: str, names: Sequence[str]) -> None:
+    """Reject a view that would be blurred by vectors or depth of another one."""
+    from jaxblur import exr
+
+    remedy = "render it"
+    if others := [other for other in names if other != name]:
+        remedy += f", leave view {name} out with --views {','.join(others)}"
+
+    def looked_in(path: Any, what: str) -> Any:
+        found = exr.inspect(path or info.path)
+        if name not in exr.views_of(found):
+            raise exr.JaxblurIOError(found.path, f"{what}: no view {name!r}; {remedy}.")
+        return found
+
+    def require_own(found: Any, what: str, channels: Sequence[str]) -> None:
+        if exr.borrowed_from(found, name, channels):
+            raise exr.JaxblurIOError(
+                found.path,
+                f"view {name} has no {what} of its own; {remedy}, or let it take "
+                f"{', '.join(channels)} with --layer {name}.",
+            )
+
+    taken, flat = (), arguments.depth == "flat"
+    if hasattr(arguments, "velocity_from"):
+        vectors_in = looked_in(arguments.velocity_from, "vectors")
+        guess = exr.choose_vectors(vectors_in, arguments.preset, name)
+        require_own(vectors_in, "vectors", guess.channels)
+        taken = () if arguments.velocity_from else guess.channels
+        flat |= arguments.depth == "auto" and guess.preset.depth == "flat"
+    elif not posts.needs_depth(arguments):
+        return
+    if not flat:
+        depth_in = looked_in(arguments.depth_from, "depth")
+        prefix = exr.choose_color(info, name).prefix
+        channel = exr.choose_depth(depth_in, name, None, prefix, taken)
+        require_own(depth_in, "depth", [channel])
+
+
+def _noise_of(arguments: argparse.Namespace, name: str, index: int) -> dict[str, Any]:
+    """Seed and disparity by which a view gets its noise; the first view has that of a frame."""
+    if not hasattr(arguments, "disparity"):
+        return {}
+    if arguments.disparity is not None:
+        return {"disparity": arguments.disparity if name == "right" else None}
+    return {"seed": (arguments.seed or 0) + index * SEED_OF_A_VIEW} if index else {}
+
+
+def with_samples(arguments: argparse.Namespace, chosen: Choice) -> Choice:
+    """The choice for a view.
+
+    Args:
+        arguments: of the view, from `each`.
+        chosen: for the frame.
+
+    Returns:
+        The same filter with the samples of the view.
+    """
+    count = (getattr(arguments, "view_samples", None) or {}).get(arguments.layer)
+    if count is None:
+        return chosen
+    settings = dataclasses.replace(chosen.settings, samples=count)
+    return dataclasses.replace(chosen, settings=settings)
+
+
+def check_alike(views: Sequence[Loaded], names: Sequence[str]) -> None:
+    """Reject views that cannot be written together.
+
+    Args:
+        views: as they were read.
+        names: of the views.
+
+    Raises:
+        JaxblurIOError: they have other sizes, or share a Cryptomatte.
+    """
+    from jaxblur import exr
+
+    first, *others = views
+    for name, other in zip(names[1:], others, strict=True):
+        (height, width), (rows, columns) = (view.buffers.color.shape[:2] for view in (first, other))
+        apart = f"blur them one after the other, --views {names[0]} and then --views {name}"
+        path = first.states.states[0][0]
+        if (height, width) != (rows, columns):
+            raise exr.JaxblurIOError(
+                path,
+                f"view {names[0]} has {width}x{height} pixels, view {name} {columns}x{rows}; "
+                f"{apart}.",
+            )
+        held = [ranks.layer for ranks in first.ranks]
+        if shared := [ranks.layer.name for ranks in other.ranks if ranks.layer in held]:
+            raise exr.JaxblurIOError(
+                path, f"views {names[0]} and {name} share Cryptomatte {shared[0]}; {apart}."
+            )
+
+
+def merged(views: Sequence[tuple[Loaded, Any]]) -> tuple[Loaded, Any]:
+    """The blurred views as one frame, in which the others are passes of the first.
+
+    Args:
+        views: each as it was read, and its (H, W, C) picture and passes.
+
+    Returns:
+        The frame and its (H, W, C) picture and passes, to be written together.
+    """
+    import numpy as np
+
+    from jaxblur.nonfinite import Ignored
+
+    (first, image), *others = views
+    if not others:
+        return first, image
+    names = [
+        name
+        for loaded, _ in others
+        for name in (*loaded.buffers.color_channels, *loaded.buffers.pass_channels)
+    ]
+    counts = (dataclasses.astuple(loaded.buffers.ignored) for loaded, _ in views)
+    buffers = dataclasses.replace(
+        first.buffers,
+        pass_channels=(*first.buffers.pass_channels, *names),
+        ignored=Ignored(*map(sum, zip(*counts, strict=True))),
+    )
+    whole = dataclasses.replace(
+        first,
+        buffers=buffers,
+        changes=tuple(change for loaded, _ in views for change in loaded.changes),
+        selects=any(loaded.selects for loaded, _ in views),
+    )
+    return whole, np.concatenate([image for _, image in views], axis=-1)
+
+
+def notes(views: Sequence[argparse.Namespace]) -> Mapping[str, Any]:
+    """What `jaxblur:settings` says of the views; nothing of one that was not asked for by name."""
+    names = [each.layer for each in views]
+    if len(names) < 2:
+        return {}
+    first = views[0]
+    found: dict[str, Any] = {"views": ", ".join(names)}
+    if first.view_samples:
+        found["view_samples"] = ", ".join(f"{k}={v}" for k, v in first.view_samples.items())
+    shared = next((each.disparity for each in views if each.disparity), None)
+    if shared:
+        found |= {"disparity": shared[0], "convergence": shared[1]}
+    return found
+
+
+def _samples(text: str) -> dict[str, int]:
+    """Parse ``--view-samples``.
+
+    Raises:
+        ArgumentTypeError: it has another form.
+    """
+    found = {}
+    for entry in text.split(","):
+        name, equals, count = entry.partition("=")
+        if not equals or not name.strip() or name.strip() in found:
+            raise argparse.ArgumentTypeError(f"expected NAME=N[,NAME=N], got {text!r}")
+        found[name.strip()] = positive_integer(count)
+    return found
+
+
+def _disparity(text: str) -> tuple[float, float]:
+    """Parse ``--disparity``.
+
+    Raises:
+        ArgumentTypeError: it has another form.
+    """
+    first, comma, second = text.partition(",")
+    try:
+        at_one, distance = float(first), float(second) if comma else math.inf
+    except ValueError:
+        at_one = distance = math.nan
+    if not (math.isfinite(at_one) and at_one != 0 and distance > 0):
+        raise argparse.ArgumentTypeError(
+            f"expected PX or PX,DISTANCE, the distance above 0, got {text!r}"
+        )
+    return at_one, distance
