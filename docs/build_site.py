@@ -20,11 +20,11 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from nbconvert import MarkdownExporter
 
-import jaxblur
 from jaxblur.cli.main import build_parser
 
 ROOT = Path(__file__).parents[1]
 DOCS = Path(__file__).parent
+FIRST = "index.md"
 COMMANDS = "reference/commands.md"
 SOURCES = {".py": "python", ".pyi": "python", ".js": "javascript", ".yaml": "yaml", "": "text"}
 """Suffixes of files that are shown as text, with the language of their colors."""
@@ -47,14 +47,12 @@ LINK = re.compile(r"(?<=\]\()([^)\s#]+)")
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, and everything that pages link to, from page to page."""
+    known = {file.src_uri for file in files}
+    waiting = ["README.md", *(f"docs/{name}" for name in known if name.endswith(".md"))]
+    known.add(FIRST)
+    files.append(File.generated(config, FIRST, abs_src_path=str(ROOT / "README.md")))
     for name, text in [(COMMANDS, commands_page()), *python_pages()]:
         files.append(File.generated(config, name, content=text))
-    known = {file.src_uri for file in files}
-    waiting = [
-        f"docs/{file.src_uri}"
-        for file in files
-        if file.is_documentation_page() and file.abs_src_path
-    ]
     while waiting:
         name = waiting.pop()
         for target in linked(name):
@@ -82,7 +80,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def repository_folder(page: str) -> str:
     """The folder, in the repository, of the file that a page of the site is made of."""
     folder = posixpath.dirname(page)
-    return folder if (ROOT / folder).is_dir() and folder else posixpath.join("docs", folder)
+    return posixpath.join("docs", folder) if (DOCS / page).is_file() else folder
 
 
 def linked(name: str) -> Iterator[str]:
@@ -118,6 +116,8 @@ def with_links(markdown: str, folder: str, replace: Any) -> str:
 
 def address(target: str) -> str:
     """The page or file of the site for a file of the repository."""
+    if target == "README.md":
+        return FIRST
     if target.startswith("docs/"):
         return target.removeprefix("docs/")
     suffix = posixpath.splitext(target)[1]
@@ -165,7 +165,7 @@ def commands_page() -> str:
         "Made from the parsers of the commands: the text of `--help`.",
         "",
     ]
-    for name, command in commands.choices.items():
+    for name in commands.choices:
         lines += [f"- [`jaxblur {name}`](#{name}): {summaries[name]}"]
     for name, command in commands.choices.items():
         lines += ["", f"## {name}", "", command.description or "", ""]
@@ -193,7 +193,7 @@ def option(command: str, action: argparse.Action) -> str:
 
 
 def python_pages() -> Iterator[tuple[str, str]]:
-    """A page for the package and one for each of its public parts, by the names that they export."""
+    """A page for the package, and one for each of its public parts."""
     for module in PARTS:
         names = public_names(importlib.import_module(module))
         blocks = [f"::: {module}.{each}\n" for each in names]
