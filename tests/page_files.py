@@ -36,8 +36,9 @@ def write_folder(folder: Path) -> Path:
 def stored(path):
     """The channels of all parts of a frame of tests/data, cut to `PART`."""
     found = {}
-    for part in exr.inspect(path).parts:
-        spec, pixels = read_raw(path, part.index, "float")
+    for part, _ in enumerate(exr.inspect(path).parts):
+        spec, pixels = read_raw(path, part, "float")
+        assert pixels is not None
         for index, name in enumerate(spec.channelnames):
             found[name] = np.ascontiguousarray(pixels[PART][..., index])
     return found
