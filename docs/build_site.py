@@ -10,10 +10,9 @@ import html
 import importlib
 import posixpath
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -83,15 +82,19 @@ def repository_folder(page: str) -> str:
     return posixpath.join("docs", folder) if (DOCS / page).is_file() else folder
 
 
-def linked(name: str) -> Iterator[str]:
+def linked(name: str) -> list[str]:
     """The files of the repository that a page of the repository links to."""
     found: list[str] = []
-    text = (ROOT / name).read_text(encoding="utf-8")
-    with_links(text, posixpath.dirname(name), lambda target: found.append(target) or "")
-    return iter(found)
+
+    def keep(target: str) -> str:
+        found.append(target)
+        return target
+
+    with_links((ROOT / name).read_text(encoding="utf-8"), posixpath.dirname(name), keep)
+    return found
 
 
-def with_links(markdown: str, folder: str, replace: Any) -> str:
+def with_links(markdown: str, folder: str, replace: Callable[[str], str]) -> str:
     """Replace links that lead to files of the repository, outside of code.
 
     Args:
@@ -118,12 +121,9 @@ def address(target: str) -> str:
     """The page or file of the site for a file of the repository."""
     if target == "README.md":
         return FIRST
-    if target.startswith("docs/"):
-        return target.removeprefix("docs/")
     suffix = posixpath.splitext(target)[1]
-    if suffix == ".ipynb" or suffix in SOURCES:
-        return f"{target}.md"
-    return target
+    is_page_of_text = suffix == ".ipynb" or suffix in SOURCES
+    return target.removeprefix("docs/") + (".md" if is_page_of_text else "")
 
 
 def pages_of(target: str, config: MkDocsConfig) -> list[File]:
@@ -135,7 +135,7 @@ def pages_of(target: str, config: MkDocsConfig) -> list[File]:
         text = path.read_text(encoding="utf-8")
         page = f"# {path.name}\n\n`{target}`\n\n````{SOURCES[suffix]}\n{text}\n````\n"
         return [File.generated(config, address(target), content=page)]
-    return [File.generated(config, target, abs_src_path=str(path))]
+    return [File.generated(config, address(target), abs_src_path=str(path))]
 
 
 def notebook_pages(target: str, config: MkDocsConfig) -> list[File]:
@@ -155,7 +155,10 @@ def notebook_pages(target: str, config: MkDocsConfig) -> list[File]:
 
 
 def commands_page() -> str:
-    """The reference of the command line, from its parsers."""
+    """The reference of the command line, from its parsers.
+
+    Arguments are read from private fields: argparse has no public list of them.
+    """
     parser = build_parser()
     (commands,) = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     summaries = {action.dest: action.help for action in commands._choices_actions}
@@ -175,8 +178,9 @@ def commands_page() -> str:
                 lines += [f"<h3>{html.escape(group.title or '')}</h3>", "<dl>"]
                 lines += [option(name, action) for action in group._group_actions]
                 lines += ["</dl>", ""]
-        if command.epilog:
-            lines += ["```text", command.epilog, "```"]
+        for more in (command.epilog, command.more_help and command.more_help()):
+            if more:
+                lines += ["```text", more.strip("\n"), "```", ""]
     return "\n".join(lines)
 
 

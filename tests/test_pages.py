@@ -1,6 +1,7 @@
 """What the pages say works as they say: their commands, their code, their links, and the site."""
 
 import glob
+import html
 import importlib
 import importlib.util
 import os
@@ -225,6 +226,8 @@ def test_the_reference_has_every_option(site):
     assert choice.choices
     for name, command in dict(choice.choices).items():
         assert f'<h2 id="{name}">' in page
+        if command.more_help:
+            assert html.escape(command.more_help().split("\n")[0], quote=False) in page
         for action in command._actions:
             assert f'id="{name}-{action.dest}"' in page, (name, action.dest)
 
