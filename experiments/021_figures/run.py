@@ -21,7 +21,8 @@ from jaxblur.filters import filter_info
 from jaxblur.filters.layered.filter import Others, passes_before
 from jaxblur.settings import Settings
 
-FRAME = Path(__file__).parents[2] / "tests" / "data" / "cube_over_crates_frame_0011.exr"
+REPOSITORY = Path(__file__).parents[2]
+FRAME = REPOSITORY / "tests" / "data" / "cube_over_crates_frame_0011.exr"
 DOTS_PER_INCH = 75
 GUERTIN = jaxblur.GuertinSettings(samples=25, radius=20)
 LAYERED = Settings(samples=35, radius=40, fetch="bilinear")
