@@ -108,7 +108,7 @@ def _write_layers(folder):
     front, back = front_at(0), back_at(0)
     opaque = {"A": np.ones(SIZE, np.float32)}
     write_single(folder / "hero.exr", front)
-    write_single(folder / "street.exr", back)
+    write_single(folder / "street.exr", back | opaque)
     parts = [(make_spec(front, name="hero"), front)]
     parts += [(make_spec(back | opaque, name="street"), back | opaque)]
     write_parts(folder / "shot.exr", parts)
