@@ -5,6 +5,7 @@ import glob
 import html
 import importlib
 import importlib.util
+import itertools
 import os
 import re
 import shlex
@@ -118,14 +119,21 @@ SMALLER = {
     "1-8": "1-2",
     "crossing,gears": "crossing",
     "nearest,bilinear": "nearest",
+    "9,15,35": "9",
+    "9,35": "9",
 }
 """Sizes, ranges and lists of the pages, and those that the tests take instead."""
 
 QUICKER = {
-    "bench": ("--samples", "9", "--repeats", "1", "--truth-samples", "2"),
-    "fit": ("--steps", "2"),
+    "bench": {
+        "--methods": "pixel_velocity",
+        "--samples": "9",
+        "--repeats": "1",
+        "--truth-samples": "2",
+    },
+    "fit": {"--steps": "2"},
 }
-"""What the tests add to a command; the last of two options counts."""
+"""What the tests add to a command where the page does not choose it."""
 
 ELSEWHERE = ("--scheduler",)
 """In commands that need a cluster; tests/test_sequence_cluster.py starts one."""
@@ -139,7 +147,8 @@ def words_of(line):
     words = [SMALLER.get(word, word) for word in shlex.split(line, comments=True)[1:]]
     found = [sorted(glob.glob(word)) if "####" not in word else [] for word in words]
     given = [each for word, files in zip(words, found, strict=True) for each in files or [word]]
-    return [*given, *QUICKER.get(given[0], ())]
+    more = [pair for pair in QUICKER.get(given[0], {}).items() if pair[0] not in given]
+    return [*given, *itertools.chain(*more)]
 
 
 @pytest.mark.slow
