@@ -66,8 +66,21 @@ def test_pages_are_found():
     assert sum(len(commands(page)) for page in RECIPES) > 50
 
 
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The present folder, with the filters that pages name by their files."""
+    (tmp_path / "experiments").symlink_to(ROOT / "experiments")
+    known = set(jaxblur.FILTERS)
+    writing = blocks(ROOT / "jaxblur/filters/WRITING_A_FILTER.md", "python")[0]
+    (tmp_path / "bright.py").write_text(writing, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    for name in set(jaxblur.FILTERS) - known:
+        jaxblur.filters.unregister(name)
+
+
 @every_page
-def test_commands_parse(page):
+def test_commands_parse(page, folder):
     for line in commands(page):
         arguments = shlex.split(line, comments=True)[1:]
         assert build_parser().parse_args(arguments).command == arguments[0]
@@ -138,11 +151,8 @@ def words_of(line):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in RECIPES if commands(page)], ids=name_of)
-def test_commands_run(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(write_folder(tmp_path))
-    writing = blocks(ROOT / "jaxblur/filters/WRITING_A_FILTER.md", "python")[0]
-    (tmp_path / "bright.py").write_text(writing, encoding="utf-8")
-    fitted_file(tmp_path / "fitted.toml")
+def test_commands_run(page, folder):
+    fitted_file(write_folder(folder) / "fitted.toml")
     for line in commands(page):
         if any(mark in line for mark in ELSEWHERE):
             continue
@@ -155,8 +165,6 @@ def test_commands_run(page, tmp_path, monkeypatch):
         assert outcome.status in allowed, (line, outcome.err)
         if output and "--dry-run" not in words:
             assert glob.glob(output.replace("####", "*")), line
-    if "bright_streaks" in jaxblur.FILTERS:
-        jaxblur.filters.unregister("bright_streaks")
 
 
 def fitted_file(path):
@@ -187,8 +195,8 @@ WITH_CODE = [page for page in RECIPES if page.is_relative_to(DOCS) and blocks(pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
-def test_code_runs(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(write_folder(tmp_path))
+def test_code_runs(page, folder):
+    write_folder(folder)
     names = {}
     for block in blocks(page, "python"):
         if "import bpy" in block:
