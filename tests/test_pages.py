@@ -172,6 +172,7 @@ def fitted_file(path):
     defaults = jaxblur.filters.filter_info("guertin2014").defaults
     values = {"parameters": defaults | {"kappa": 30.0}, "initial": defaults, "published": defaults}
     settings = dataclasses.asdict(jaxblur.GuertinSettings())
+    assert RESULT.sensitivity is not None
     sensitivity = dataclasses.replace(RESULT.sensitivity, names=("kappa",))
     dataclasses.replace(
         RESULT,
