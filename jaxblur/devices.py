@@ -26,6 +26,7 @@ from .noise import Noise, resolve_noise
 from .settings import Settings, checked_settings
 
 AXIS = "device"
+"""Name of the axis of a mesh of devices."""
 
 
 def blur_frames(
@@ -174,8 +175,9 @@ def plan_rows(height: int, devices: int, alignment: int, reach: int) -> Blocks:
     Returns:
         As many blocks as devices, or fewer where a block would be smaller than its halo.
 
-    >>> plan_rows(1080, 4, 40, 80)
-    Blocks(height=1080, count=4, rows=280, halo=80)
+    Examples:
+        >>> plan_rows(1080, 4, 40, 80)
+        Blocks(height=1080, count=4, rows=280, halo=80)
     """
     tiles, halo = math.ceil(height / alignment), math.ceil(reach / alignment)
     each = max(math.ceil(tiles / devices), halo, 1)

@@ -70,7 +70,7 @@ def finite_frame(frame: Frame, nonfinite: Nonfinite = "error") -> tuple[Frame, I
         ValueError: a buffer holds NaN or infinity and ``nonfinite`` is "error"; a depth is zero or
             negative; ``nonfinite`` is something else.
 
-    Example:
+    Examples:
         >>> import jax.numpy as jnp
         >>> from jaxblur import Frame
         >>> color = jnp.ones((2, 2, 3)).at[0, 1, 0].set(jnp.inf)

@@ -148,8 +148,9 @@ def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the fi
     Raises:
         ValueError: they are no settings, or hold choices that the filter does not have.
 
-    >>> checked_settings(Settings(samples=9), GuertinSettings).tile_choice
-    'stochastic'
+    Examples:
+        >>> checked_settings(Settings(samples=9), GuertinSettings).tile_choice
+        'stochastic'
     """
     if type(settings) is kind:
         return settings
@@ -182,8 +183,9 @@ def choices_of(kind: type[Settings]) -> dict[str, tuple[str, ...]]:
     Returns:
         Options by name of the field, for fields that are annotated as ``Literal``.
 
-    >>> choices_of(Settings)["border"]
-    ('skip', 'clamp')
+    Examples:
+        >>> choices_of(Settings)["border"]
+        ('skip', 'clamp')
     """
     hints = typing.get_type_hints(kind)
     return {

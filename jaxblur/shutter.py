@@ -143,8 +143,9 @@ class Shutter:
         Raises:
             ValueError: there is no window, or they are not in order.
 
-        >>> Shutter.windows([(-1, -0.5), (0.5, 1)]).curve[[0, 100, 256]]
-        array([1., 0., 1.], dtype=float32)
+        Examples:
+            >>> Shutter.windows([(-1, -0.5), (0.5, 1)]).curve[[0, 100, 256]]
+            array([1., 0., 1.], dtype=float32)
         """
         edges = np.asarray(windows, float)
         ordered = edges.ndim == 2 and edges.shape[1] == 2 and np.all(np.diff(edges.ravel()) >= 0)
@@ -183,9 +184,10 @@ class Shutter:
         Raises:
             ValueError: there is no such curve.
 
-        >>> shutter = Shutter.from_frames(0, 0.5, exposure=0.5)
-        >>> shutter.open, shutter.close
-        (0.0, 2.0)
+        Examples:
+            >>> shutter = Shutter.from_frames(0, 0.5, exposure=0.5)
+            >>> shutter.open, shutter.close
+            (0.0, 2.0)
         """
         half = exposure / 2  # pyright: ignore[reportOperatorIssue]
         points = curve_of(curve) if isinstance(curve, str) else curve
@@ -262,8 +264,9 @@ def ends_at(position: str, exposure: float) -> tuple[float, float]:
     Raises:
         ValueError: there is no such position.
 
-    >>> ends_at("start", 0.5)
-    (0.0, 0.5)
+    Examples:
+        >>> ends_at("start", 0.5)
+        (0.0, 0.5)
     """
     if position not in POSITIONS:
         raise ValueError(f"`position` must be one of {', '.join(POSITIONS)}, got {position!r}.")

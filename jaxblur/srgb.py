@@ -26,9 +26,10 @@ def encode(linear: Array) -> Array:
     Returns:
         sRGB values: an array of the same kind, shape and dtype.
 
-    >>> import numpy as np
-    >>> encode(np.array([0.0, 0.18, 1.0])).round(4).tolist()
-    [0.0, 0.4614, 1.0]
+    Examples:
+        >>> import numpy as np
+        >>> encode(np.array([0.0, 0.18, 1.0])).round(4).tolist()
+        [0.0, 0.4614, 1.0]
     """
     namespace = linear.__array_namespace__()
     straight = linear <= LINEAR_JOINT
@@ -37,7 +38,7 @@ def encode(linear: Array) -> Array:
 
 
 def decode(encoded: Array) -> Array:
-    """Convert sRGB values to linear light, the inverse of :func:`encode`.
+    """Convert sRGB values to linear light, the inverse of `encode`.
 
     Args:
         encoded: NumPy or JAX array of any shape, sRGB values.
@@ -45,9 +46,10 @@ def decode(encoded: Array) -> Array:
     Returns:
         Linear light: an array of the same kind, shape and dtype.
 
-    >>> import numpy as np
-    >>> decode(np.array([0.0, 0.5, 1.0])).round(4).tolist()
-    [0.0, 0.214, 1.0]
+    Examples:
+        >>> import numpy as np
+        >>> decode(np.array([0.0, 0.5, 1.0])).round(4).tolist()
+        [0.0, 0.214, 1.0]
     """
     namespace = encoded.__array_namespace__()
     straight = encoded <= ENCODED_JOINT

@@ -78,9 +78,10 @@ def scale_motion(frame: Frame, by: ArrayLike) -> Frame:
 
     Source: McGuire et al. 2012, section 4.1.
 
-    >>> frame = Frame(jnp.ones((1, 2, 3)), jnp.ones((1, 2)), jnp.full((1, 2, 2), 6.0))
-    >>> scale_motion(frame, jnp.asarray([[1.0, 0.5]])).velocity[0, :, 0].tolist()
-    [6.0, 3.0]
+    Examples:
+        >>> frame = Frame(jnp.ones((1, 2, 3)), jnp.ones((1, 2)), jnp.full((1, 2, 2), 6.0))
+        >>> scale_motion(frame, jnp.asarray([[1.0, 0.5]])).velocity[0, :, 0].tolist()
+        [6.0, 3.0]
     """
     frame = check_frame(frame)
     factor = _map(by, "by", frame)[..., None]

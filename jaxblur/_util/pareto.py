@@ -40,9 +40,10 @@ def pareto_front(points: Sequence[Measurement]) -> list[Measurement]:
     Returns:
         From fast to accurate: time strictly rises and error strictly falls.
 
-    >>> slow, fast = Measurement("slow", 2.0, 0.1), Measurement("fast", 1.0, 0.2)
-    >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), fast])]
-    ['fast', 'slow']
+    Examples:
+        >>> slow, fast = Measurement("slow", 2.0, 0.1), Measurement("fast", 1.0, 0.2)
+        >>> [point.label for point in pareto_front([slow, Measurement("bad", 2.0, 0.2), fast])]
+        ['fast', 'slow']
     """
     front: list[Measurement] = []
     for point in sorted(points, key=lambda point: (point.time, point.error)):

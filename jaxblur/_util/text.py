@@ -15,7 +15,7 @@ def printable(text: Any) -> str:
         The text on one line; characters that are not printable are replaced by their Python
         escapes.
 
-    Example:
+    Examples:
         >>> printable("a" + chr(27) + "[31m")
         'a\\x1b[31m'
     """
@@ -30,8 +30,9 @@ def one_line(text: str) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest up to three known names near a mistyped one, in any case, or nothing.
 
-    >>> nearest("herro", ["hero", "Hero2", "ground"])
-    ' (did you mean hero or Hero2?)'
+    Examples:
+        >>> nearest("herro", ["hero", "Hero2", "ground"])
+        ' (did you mean hero or Hero2?)'
     """
     lowered: dict[str, str] = {}
     for each in known:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import jax
 
 UNBLURRED = "unblurred"
+"""The method that leaves the sharp frame as it is."""
 RENDERERS = ("accumulate", "stochastic", "motion_paths")
 """Ways to render blur instead of filtering it; ``samples`` is the number of images, of samples per
 pixel, and of spatial samples."""

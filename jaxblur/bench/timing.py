@@ -50,8 +50,9 @@ class Timing:
 def interquartile_range(values: Sequence[float]) -> float:
     """Width of the middle half of some values, in their unit.
 
-    >>> interquartile_range([1.0, 2.0, 3.0, 4.0, 5.0])
-    2.0
+    Examples:
+        >>> interquartile_range([1.0, 2.0, 3.0, 4.0, 5.0])
+        2.0
     """
     low, high = np.percentile(values, (25, 75))
     return float(high - low)

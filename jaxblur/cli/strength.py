@@ -68,7 +68,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=_camera,
         metavar="auto|header|fit|FILE.json",
         help="the camera's motion: from worldToCamera and worldToNDC in this and the neighboring "
-        "files, fitted to the vectors, or from a file (see the README); auto: header, else fit",
+        "files, fitted to the vectors, or from a file (see docs/how-to/strength.md); auto: header, "
+        "else fit",
     )
     group.add_argument(
         "--limit-motion",

@@ -20,7 +20,9 @@ from .plan import GROUP, plan_of
 from .reference import SHARE, TOLERANCE, expected_of, frame_of, reference_planes
 
 Language = Literal["c", "wgsl", "glsl", "hlsl"]
+"""A language that filters are printed in."""
 LANGUAGES: tuple[Language, ...] = ("c", "wgsl", "glsl", "hlsl")
+"""All languages."""
 PLAN = "plan.json"
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
+"""What a file may store as depth: `read_frame` converts each to distance."""
 
 # Renderers that cannot write infinity store 1e10 or 1e30 for the sky.
 SKY_DEPTH = 1e9

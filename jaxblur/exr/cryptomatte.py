@@ -175,8 +175,9 @@ def identifier_of(name: str) -> int:
     Returns:
         32 bits.
 
-    >>> f"{identifier_of('hello'):08x}"
-    '248bfa47'
+    Examples:
+        >>> f"{identifier_of('hello'):08x}"
+        '248bfa47'
     """
     value = murmur3_32(name.encode())
     # Neither zero, denormal, infinite nor NaN, which programs change.
@@ -186,8 +187,9 @@ def identifier_of(name: str) -> int:
 def murmur3_32(data: bytes, seed: int = 0) -> int:
     """MurmurHash3, x86 32-bit.
 
-    >>> murmur3_32(b"") , hex(murmur3_32(b"hello, world"))
-    (0, '0x149bbb7f')
+    Examples:
+        >>> murmur3_32(b"") , hex(murmur3_32(b"hello, world"))
+        (0, '0x149bbb7f')
     """
     mask, state = 0xFFFFFFFF, seed
     whole = len(data) // 4 * 4

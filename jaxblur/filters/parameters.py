@@ -86,9 +86,10 @@ class ParameterInfo:
         Returns:
             The entry of `ends`; empty for a value inside.
 
-        >>> from jaxblur import filter_info
-        >>> filter_info("guertin2014").parameter_infos["depth_sharpness"].useless(0.0019)
-        'depth is switched off'
+        Examples:
+            >>> from jaxblur import filter_info
+            >>> filter_info("guertin2014").parameter_infos["depth_sharpness"].useless(0.0019)
+            'depth is switched off'
         """
         first, last = self.useful
         if value <= first:
@@ -129,11 +130,12 @@ def parameter(
     Raises:
         ValueError: a range is empty or ambiguous, or does not hold the default.
 
-    >>> @dataclasses.dataclass(frozen=True)
-    ... class Parameters:
-    ...     strength: float = parameter(1.0, above=0.0, meaning="strength of the blur")
-    >>> infos_of(Parameters)["strength"].range
-    'above 0'
+    Examples:
+        >>> @dataclasses.dataclass(frozen=True)
+        ... class Parameters:
+        ...     strength: float = parameter(1.0, above=0.0, meaning="strength of the blur")
+        >>> infos_of(Parameters)["strength"].range
+        'above 0'
     """
     if above is not None and low is not None:
         raise ValueError("`above` and `low` must not both be given; leave out one of the two.")

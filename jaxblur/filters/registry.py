@@ -429,3 +429,4 @@ class _Filters(Mapping[str, Filter]):
 
 
 FILTERS: Mapping[str, Filter] = _Filters()
+"""The registered filters by name, those of other packages included."""

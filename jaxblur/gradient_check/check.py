@@ -119,12 +119,13 @@ def check_gradient(
     Raises:
         ValueError: an argument is of the wrong kind, size or range, or the loss is not finite.
 
-    >>> shift = jnp.arange(24.0) / 24
-    >>> color = jnp.broadcast_to(jnp.sin(9 * shift)[None, :, None] + 1, (16, 24, 1))
-    >>> frame = Frame(color, jnp.ones((16, 24)), jnp.full((16, 24, 2), 3.0))
-    >>> table = check_gradient("pixel_velocity", frame, color, scales=(1.0,), object=None)
-    >>> [(row.name, row.determined) for row in table.rows]
-    [('all velocities', True)]
+    Examples:
+        >>> shift = jnp.arange(24.0) / 24
+        >>> color = jnp.broadcast_to(jnp.sin(9 * shift)[None, :, None] + 1, (16, 24, 1))
+        >>> frame = Frame(color, jnp.ones((16, 24)), jnp.full((16, 24, 2), 3.0))
+        >>> table = check_gradient("pixel_velocity", frame, color, scales=(1.0,), object=None)
+        >>> [(row.name, row.determined) for row in table.rows]
+        [('all velocities', True)]
     """
     info = filter_info(filter)
     _check_numbers(step, draws, scales)

@@ -2,14 +2,14 @@
 
 Imports nothing of jaxblur but `frame` and `srgb`.
 
-All numbers that this project reports use one display transform, :func:`display`: keep RGB, apply
-the exact sRGB curve, clip to [0, 1]; the peak is 1. :func:`compare` applies it to linear images.
-:func:`cvvdp` takes linear light and has its own displays. The other functions take images as they
-are, so that they can also be used as losses. All except :func:`flip` are differentiable JAX
+All numbers that this project reports use one display transform, `display`: keep RGB, apply
+the exact sRGB curve, clip to [0, 1]; the peak is 1. `compare` applies it to linear images.
+`cvvdp` takes linear light and has its own displays. The other functions take images as they
+are, so that they can also be used as losses. All except `flip` are differentiable JAX
 functions whose derivatives stay finite where two images agree.
 
 ``mask`` is an (H, W) array of booleans that limits a mean to some pixels. An empty mask gives NaN,
-except in :func:`compare`, which raises an error.
+except in `compare`, which raises an error.
 """
 
 from .color_video_vdp import (

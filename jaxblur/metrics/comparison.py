@@ -11,7 +11,7 @@ from .visibility import flip
 
 
 class Scores(NamedTuple):
-    """Result of :func:`compare`: PSNR in dB, SSIM (1 is equal), mean FLIP (0 is equal)."""
+    """Result of `compare`: PSNR in dB, SSIM (1 is equal), mean FLIP (0 is equal)."""
 
     psnr: float
     ssim: float
@@ -21,12 +21,12 @@ class Scores(NamedTuple):
 def compare(image: Image, truth: Image, mask: Mask | None = None) -> Scores:
     """Compute PSNR, SSIM and FLIP of linear images, as this project reports them.
 
-    Both images pass through :func:`display` first: RGB only, sRGB curve, clipped to [0, 1].
+    Both images pass through `display` first: RGB only, sRGB curve, clipped to [0, 1].
 
     Args:
         image: (H, W, C) linear light.
         truth: (H, W, C) linear light.
-        mask: (H, W) pixels to count, for instance :func:`motion_footprint`; None for all.
+        mask: (H, W) pixels to count, for instance `motion_footprint`; None for all.
 
     Returns:
         The three metrics as floats.

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from .images import Image, Mask, Scalar, absolute, masked_mean, of_one_shape
 
 RELATIVE_FLOOR = 1e-2
+"""Added to the squared truth that `relative_mse` divides by."""
 
 
 def mse(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
@@ -32,16 +33,17 @@ def psnr(image: Image, truth: Image, peak: float = 1.0, mask: Mask | None = None
     """Peak signal-to-noise ratio, 10 log10(peak^2 / MSE).
 
     Args:
-        image: (H, W, C), after :func:`display` for reported numbers.
+        image: (H, W, C), after `display` for reported numbers.
         truth: (H, W, C) in the same units.
-        peak: the value of full signal; 1 after :func:`display`.
+        peak: the value of full signal; 1 after `display`.
         mask: (H, W) pixels to count, or None for all.
 
     Returns:
         Scalar in dB; ``+inf`` with derivative 0 where the images are equal.
 
-    >>> float(psnr(np.full((2, 2, 3), 0.6), np.full((2, 2, 3), 0.5)).round(3))
-    20.0
+    Examples:
+        >>> float(psnr(np.full((2, 2, 3), 0.6), np.full((2, 2, 3), 0.5)).round(3))
+        20.0
     """
     error = mse(image, truth, mask) / peak**2
     equal = error == 0
@@ -99,7 +101,7 @@ def temporal_difference_error(
     ``sqrt(mean(error**2))``.
 
     Args:
-        images: (T, H, W, C), a, after :func:`display` for reported numbers.
+        images: (T, H, W, C), a, after `display` for reported numbers.
         truths: (T, H, W, C), b, in the same units.
         mask: (H, W) pixels to count in every pair, or None for all.
 

@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float
 from .. import srgb
 
 Image = Float[jax.Array | np.ndarray, "height width channels"]
+"""An image, of NumPy or JAX."""
 Mask = Bool[jax.Array | np.ndarray, "height width"]
+"""The pixels over which a mean is taken."""
 Scalar = Float[jax.Array, ""]
 
 
@@ -41,7 +43,7 @@ def display(image: Image) -> Float[jax.Array, "height width 3"]:
     """Apply the project's display transform: RGB only, exact sRGB curve, clipped to [0, 1].
 
     Args:
-        image: (H, W, C) linear light, channels as :func:`rgb` takes them.
+        image: (H, W, C) linear light, channels as `rgb` takes them.
 
     Returns:
         (H, W, 3) display values in [0, 1]. The derivative is 0 beyond the clip.

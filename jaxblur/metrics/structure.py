@@ -7,6 +7,7 @@ from .images import Image, Mask, Scalar, masked_mean, of_one_shape
 SSIM_WINDOW = 11
 """Rows and columns of the window of SSIM, and of the smallest image that has scores."""
 SSIM_SIGMA = 1.5
+"""Standard deviation of the window of SSIM, in pixels."""
 
 
 def ssim(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
@@ -17,8 +18,8 @@ def ssim(image: Image, truth: Image, mask: Mask | None = None) -> Scalar:
     are ``gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1``.
 
     Args:
-        image: (H, W, C), after :func:`display`.
-        truth: (H, W, C), after :func:`display`.
+        image: (H, W, C), after `display`.
+        truth: (H, W, C), after `display`.
         mask: (H, W) pixels to count (their windows may reach outside the mask), or None for all.
 
     Returns:

@@ -14,7 +14,7 @@ def flip_map(
     Runs in NumPy through NVIDIA's ``flip_evaluator``; not differentiable.
 
     Args:
-        image: (H, W, 3): display values in [0, 1] after :func:`display`, or with ``hdr`` linear
+        image: (H, W, 3): display values in [0, 1] after `display`, or with ``hdr`` linear
             Rec.709 light, not negative.
         truth: (H, W, 3) in the same units.
         hdr: take the largest error over a range of exposures derived from the truth (HDR-FLIP).
@@ -52,7 +52,7 @@ def flip(
     hdr: bool = False,
     pixels_per_degree: float = 67.0,
 ) -> float:
-    """Mean FLIP error over pixels; see :func:`flip_map` for the arguments.
+    """Mean FLIP error over pixels; see `flip_map` for the arguments.
 
     Args:
         image: (H, W, 3) display values, or linear light with ``hdr``.
@@ -65,7 +65,7 @@ def flip(
         A float in [0, 1]; 0 means no visible difference.
 
     Raises:
-        ValueError: as for :func:`flip_map`.
+        ValueError: as for `flip_map`.
     """
     error = flip_map(image, truth, hdr, pixels_per_degree)
     return float(error.mean() if mask is None else error[np.asarray(mask)].mean())

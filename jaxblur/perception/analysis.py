@@ -222,7 +222,7 @@ def least_significant_difference(stimuli: int, rounds: int, alpha: float = 0.01)
     Source: David 1988; Navarro 2012, section 5.6.3, whose formula has ``2 R_c - 0.5`` for ``W
     sqrt(n t)``.
 
-    Example:
+    Examples:
         >>> [least_significant_difference(t, n) for t, n in ((5, 20), (9, 21), (5, 32), (9, 18))]
         [24, 36, 30, 33]
     """
@@ -251,7 +251,7 @@ def equivalent_groups(scores: Mapping[str, float], limit: float) -> tuple[tuple[
 
     Source: Navarro 2012, sections 5.6.3 and 6.5.2.
 
-    Example:
+    Examples:
         >>> equivalent_groups({"T1": 34, "T2": 60, "T3": 85, "T4": 87, "T5": 54}, 30)
         (('T4', 'T3', 'T2'), ('T2', 'T5', 'T1'))
     """

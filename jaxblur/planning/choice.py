@@ -127,9 +127,10 @@ def plan(
     Raises:
         ValueError: an argument is out of range, or no candidate fits budget and tolerance.
 
-    >>> still = FrameStatistics(100, 0.0, 0.0, 5, 0.0, 0.0, 0.0)
-    >>> plan(still).filter
-    'pixel_velocity'
+    Examples:
+        >>> still = FrameStatistics(100, 0.0, 0.0, 5, 0.0, 0.0, 0.0)
+        >>> plan(still).filter
+        'pixel_velocity'
     """
     _check_limits(budget_ms, tolerance_db, tolerance_jod, machine_speed)
     statistics = frame_or_statistics

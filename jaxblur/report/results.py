@@ -45,9 +45,12 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 MANIFEST = "result.json"
+"""The file of a result folder that names its pictures and scores."""
 PICTURES = "pictures"
-COLORS, VIEW = "colors", "view"
-"""Shared settings that say how pictures were converted, and the view that they are in, if any."""
+COLORS = "colors"
+"""Shared setting that says how pictures were converted."""
+VIEW = "view"
+"""Shared setting with the view that the pictures are in, if any."""
 LONGEST = 1e12
 """Milliseconds that no method takes: thirty years."""
 

@@ -57,8 +57,9 @@ class Material:
 def linear_color(color: Color) -> np.ndarray:
     """Read a color as linear light: three numbers as they are, or an sRGB ``"#rrggbb"``.
 
-    >>> linear_color("#ff8000").round(3).tolist()
-    [1.0, 0.216, 0.0]
+    Examples:
+        >>> linear_color("#ff8000").round(3).tolist()
+        [1.0, 0.216, 0.0]
 
     Args:
         color: three linear values, or a hexadecimal sRGB string.

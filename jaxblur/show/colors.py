@@ -25,8 +25,9 @@ def velocity_colors(velocity: ArrayLike, limit: float) -> Float[np.ndarray, "*sh
     Raises:
         ValueError: the last axis is not 2, or the limit is not above 0.
 
-    >>> velocity_colors([[0.0, 0.0], [8.0, 0.0], [-4.0, 0.0]], limit=8.0).tolist()
-    [[1.0, 1.0, 1.0], [1.0, 0.0, 0.0], [0.5, 1.0, 1.0]]
+    Examples:
+        >>> velocity_colors([[0.0, 0.0], [8.0, 0.0], [-4.0, 0.0]], limit=8.0).tolist()
+        [[1.0, 1.0, 1.0], [1.0, 0.0, 0.0], [0.5, 1.0, 1.0]]
     """
     vectors = np.asarray(velocity, np.float64)
     if vectors.shape[-1:] != (2,):

@@ -23,8 +23,9 @@ def sliders(draw: Callable[..., object], **ranges: tuple[float, float, float]) -
     Raises:
         ValueError: a start lies outside its range.
 
-    >>> sliders(lambda x: 2 * x, x=(0.0, 1.0, 0.5))
-    1.0
+    Examples:
+        >>> sliders(lambda x: 2 * x, x=(0.0, 1.0, 0.5))
+        1.0
     """
     for name, (low, high, start) in ranges.items():
         if not low <= start <= high:

@@ -33,7 +33,7 @@ def encode_velocity(velocity: ArrayLike, radius: int) -> UInt8[Array, "height wi
     Raises:
         ValueError: shape or radius is wrong.
 
-    Example:
+    Examples:
         >>> import jax.numpy as jnp
         >>> encode_velocity(jnp.asarray([[[0.0, 0.0], [40.0, 0.0], [300.0, -400.0]]]), 40).tolist()
         [[[128, 128], [255, 128], [204, 26]]]

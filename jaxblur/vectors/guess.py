@@ -43,7 +43,7 @@ def guess_preset(channel_names: Sequence[str]) -> Guess:
         NoVectorsError: no convention matches.
         ValueError: several match; the message lists the candidates.
 
-    Example:
+    Examples:
         >>> names = ["R", "G", "B", "forward.u", "forward.v", "backward.u", "backward.v"]
         >>> guess_preset(names).preset.name
         'nuke'
@@ -140,7 +140,7 @@ def find_channels(pattern: str, channel_names: Sequence[str]) -> list[str]:
     Returns:
         Full names, in the order given.
 
-    Example:
+    Examples:
         >>> find_channels("Depth.Z", ["ViewLayer.Depth.Z", "ViewLayer.MyDepth.Z"])
         ['ViewLayer.Depth.Z']
     """

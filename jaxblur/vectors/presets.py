@@ -15,6 +15,7 @@ from typing import Literal
 Scale = Literal["pixels", "size", "half-size", "max-displace"]
 Span = Literal["frame", "shutter"]
 DepthKind = Literal["z", "-z", "1/z", "normalized-near1", "flat"]
+"""What a renderer stores as depth."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +39,7 @@ class VectorPair:
 
 
 Layout = tuple[VectorPair, ...]
+"""Pairs of channels that a file must hold together, to one or both neighbors in time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -317,3 +319,4 @@ _ALL = (
 )
 
 PRESETS: dict[str, Preset] = {preset.name: preset for preset in _ALL}
+"""All presets by name."""

@@ -112,8 +112,9 @@ def in_folder(folder: str) -> list[Frames]:
 def ranges(numbers: Iterable[int]) -> str:
     """Write numbers of frames as the command takes them.
 
-    >>> ranges([1, 2, 3, 7])
-    '1-3,7'
+    Examples:
+        >>> ranges([1, 2, 3, 7])
+        '1-3,7'
     """
     runs: list[list[int]] = []
     for number in sorted(numbers):

@@ -54,8 +54,8 @@ CONES_TO_OPPONENT = np.array(
 class Display:
     """A screen and how it is looked at.
 
-    Make one with :func:`white_display`, whose pixels are relative to its white, or
-    :func:`nits_display`, whose pixels are light in cd/m2.
+    Make one with `white_display`, whose pixels are relative to its white, or
+    `nits_display`, whose pixels are light in cd/m2.
 
     Attributes:
         scale: cd/m2 for a pixel of 1.
@@ -87,7 +87,7 @@ def white_display(
     Args:
         peak: luminance of white, cd/m2.
         black: luminance of black in a dark room, cd/m2.
-        pixels_per_degree: see :func:`pixels_per_degree`.
+        pixels_per_degree: see `pixels_per_degree`.
         ambient: light in the room, lux.
         primaries: of the pixels.
 
@@ -111,7 +111,7 @@ def nits_display(
     Args:
         peak: the brightest light, cd/m2; pixels are clipped to it.
         black: the darkest light, cd/m2.
-        pixels_per_degree: see :func:`pixels_per_degree`.
+        pixels_per_degree: see `pixels_per_degree`.
         ambient: light in the room, lux.
         primaries: of the pixels.
 
@@ -130,7 +130,7 @@ def pq_display(
     Args:
         peak: the brightest light, cd/m2; pixels are clipped to it.
         black: light that leaks, cd/m2, which adds to that of the pixels.
-        pixels_per_degree: see :func:`pixels_per_degree`.
+        pixels_per_degree: see `pixels_per_degree`.
         ambient: light in the room, lux.
 
     Returns:
@@ -158,8 +158,9 @@ def pixels_per_degree(
     Returns:
         Pixels per degree.
 
-    >>> round(pixels_per_degree((3840, 2160), 30.0, 0.7472), 1)
-    75.4
+    Examples:
+        >>> round(pixels_per_degree((3840, 2160), 30.0, 0.7472), 1)
+        75.4
     """
     pixel = diagonal_inches * METERS_PER_INCH / math.hypot(*resolution)
     return 1 / math.degrees(2 * math.atan(pixel / 2 / distance_meters))

@@ -55,9 +55,10 @@ def cvvdp(
     Source: Mantiuk, Hanji, Ashraf, Asano, Chapiro 2024, "ColorVideoVDP: a visual difference
     predictor for image, video and display distortions"; calibration 0.5.7.
 
-    >>> picture = np.full((16, 16, 3), 0.5, np.float32)
-    >>> float(cvvdp(picture, picture))
-    10.0
+    Examples:
+        >>> picture = np.full((16, 16, 3), 0.5, np.float32)
+        >>> float(cvvdp(picture, picture))
+        10.0
     """
     test, reference = jnp.asarray(test), jnp.asarray(reference)
     check_shapes(test.shape, reference.shape)
