@@ -185,6 +185,7 @@ def test_a_world_without_a_common_motion_is_refused(tmp_path):
     ("changes", "words"),
     [
         ({"axes": "z-up"}, "axes: must be y-up or y-down"),
+        ({"axes": []}, "axes: must be y-up or y-down, got []"),
         ({"frames": {}}, "add frame 11"),
         ({"frames": {"x": {}}}, "must be a whole number"),
         ({"frames": {5000 * "1": {}}}, "must be a whole number"),

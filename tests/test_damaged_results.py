@@ -1,6 +1,8 @@
 """Damaged files of the kinds that jaxblur writes: fits, tables, states, reports, attributes."""
 
+import functools
 import json
+import os
 import struct
 import zipfile
 
@@ -8,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur import bench, exr
+from jaxblur import bench, exr, perception
+from jaxblur._util.small_files import MOST_BYTES
 from jaxblur.bench.results import COLUMNS
 from jaxblur.exr import JaxblurIOError
 from jaxblur.fitting import descent
@@ -205,6 +208,59 @@ def test_a_state_of_another_shape_is_refused(state):
     other = descent.State(jnp.zeros(3), fresh.optimizer, (), (), 0)
     with pytest.raises(ValueError, match="does not hold the state of a fit"):
         descent.load_state(path, other, "mark")
+
+
+def test_a_state_that_unpacks_to_more_than_a_fit_holds_is_refused(state):
+    path, fresh = state
+    arrays = dict(np.load(path))
+    np.savez_compressed(path, **arrays | {"trail": np.zeros(MOST_BYTES // 8)})
+    assert path.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="does not hold the state of a fit"):
+        descent.load_state(path, fresh, "mark")
+
+
+# Files of every kind that are no such files
+
+READERS = {
+    "fit": FitResult.load,
+    "state": lambda path: descent.load_state(path, descent.State(jnp.zeros(1), ()), ""),
+    "table": bench.read_rows,
+    "cameras": exr.read_camera_file,
+    "votes": lambda path: perception.read_votes([path]),
+    "result": lambda path: read_result(path.parent),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_what_never_ends_or_is_too_large_is_refused_at_once(tmp_path, kind):
+    path = tmp_path / MANIFEST
+    refusal = functools.partial(pytest.raises, JaxblurIOError)
+    with refusal(match=rf"{MANIFEST}: no such file; "):
+        READERS[kind](path)
+    os.mkfifo(path)
+    with refusal(match=rf"{MANIFEST}: is not a file; "):
+        READERS[kind](path)
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with refusal(match=rf"{MANIFEST}: is not a file; "):
+        READERS[kind](path)
+    path.unlink()
+    path.touch()
+    os.truncate(path, MOST_BYTES + 1)
+    with refusal(match=rf"{MANIFEST}: is larger than 20 MB; "):
+        READERS[kind](path)
+    path.unlink()
+    path.mkdir()
+    with refusal(match=rf"{MANIFEST}: is a folder; "):
+        READERS[kind](path)
+
+
+def test_bytes_that_are_no_text_are_refused_in_plain_words(tmp_path):
+    path = tmp_path / MANIFEST
+    path.write_bytes(b'{"a": "\xff"}')
+    for kind in sorted(READERS.keys() - {"state"}):
+        with pytest.raises(JaxblurIOError, match="is no text in UTF-8; "):
+            READERS[kind](path)
 
 
 # Folders of results

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._util.atomic import replacing
+from .._util.small_files import read_text
 from ..filters.registry import Parameters, filter_info
 from ..settings import GuertinSettings, Settings
 
@@ -222,13 +223,13 @@ class FitResult:
             ValueError: the file is not TOML, of another schema, has unknown or missing keys or
                 values of another type, or its filter is not registered; the message names file
                 and key.
-            OSError: the file cannot be read.
+            JaxblurIOError: the file cannot be read as text.
         """
-        with open(path, "rb") as file:
-            try:
-                content = tomllib.load(file)
-            except (ValueError, RecursionError) as error:
-                raise ValueError(f"{path}: is not TOML: {error}.") from error
+        text = read_text(path, "give a file that `jaxblur fit` wrote.")
+        try:
+            content = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path}: is not TOML: {error}.") from error
         schema = content.pop("schema", None)
         if schema != SCHEMA:
             raise ValueError(

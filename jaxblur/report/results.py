@@ -37,6 +37,7 @@ import jaxblur
 
 from .._util.atomic import replacing
 from .._util.errors import JaxblurIOError
+from .._util.small_files import read_text
 from .._util.text import printable
 from ..exr import Conversion, check_view, read_image, write_image
 
@@ -274,12 +275,9 @@ def read_result(folder: pathlib.Path) -> Result:
             was written.
     """
     path = pathlib.Path(folder) / MANIFEST
-    if not path.is_file():
-        raise JaxblurIOError(
-            path, "is missing; `jaxblur blur --truth FILE --result DIR` and experiments write one."
-        )
+    text = read_text(path, "`jaxblur blur --truth FILE --result DIR` and experiments write one.")
     try:
-        content = _printable(json.loads(path.read_text(encoding="utf-8")))
+        content = _printable(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"is not JSON: {error}; write the result again.") from error
     found = content.get("schema") if isinstance(content, dict) else None
