@@ -389,6 +389,16 @@ def test_an_attribute_of_another_type_does_no_harm(tmp_path, kind, data):
     assert "--overwrite replaces such files" in refused(*sequence)
 
 
+@pytest.mark.parametrize(
+    ("kind", "what"), [(b"mystery", "uint8[4000000]"), (b"floatvector", "float[1000000]")]
+)
+def test_a_long_attribute_is_listed_by_its_type(tmp_path, kind, what):
+    path = write_single(tmp_path / "in.exr", plain_frame((16, 16)))
+    with_attribute(path, kind, bytes(4_000_000))
+    assert exr.inspect(path).parts[0].attributes["jaxblur:filter"] == what
+    assert what in run("info", "-v", path).out
+
+
 def test_many_parts_are_listed_once(tmp_path, monkeypatch):
     channels = plain_frame((4, 5))
     parts = [(make_spec(channels, name="beauty"), channels)]

@@ -62,6 +62,12 @@ def test_wrong_cryptomattes(tmp_path, name, notes, match):
         exr.read_cryptomatte(path, name)
 
 
+def test_a_manifest_that_would_fill_the_memory_is_rejected(tmp_path):
+    path = write_crypto(tmp_path / "a.exr", notes=crypto_notes(manifest=7_000_000 * "{},"))
+    with pytest.raises(exr.JaxblurIOError, match="it is larger than 20 MB"):
+        exr.read_cryptomatte(path, "/hero")
+
+
 def test_identifiers_in_half_are_rejected(tmp_path):
     channels = frame() | ids(("/hero", "/set/ground"))
     types = ["half" if "Crypto" in name else "float" for name in channels]

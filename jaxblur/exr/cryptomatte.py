@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
-from jaxblur._util.small_files import read_text
+from jaxblur._util.small_files import MOST_BYTES, read_text
 from jaxblur._util.text import nearest
 
 from .channels import read_channels
@@ -255,7 +255,7 @@ def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str,
         if text is None and (file := fields.get("manif_file")):
             beside = os.path.join(os.path.dirname(info.path), os.path.basename(file))
             text = read_text(beside, "copy it with the picture.")
-        return {} if text is None else _listed(json.loads(text))
+        return {} if text is None else _listed(text)
     except JaxblurIOError as error:
         raise JaxblurIOError(info.path, f"Cryptomatte {name}: its manifest {error}") from error
     # Deep nesting exhausts the recursion of the parser.
@@ -265,14 +265,17 @@ def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str,
         ) from error
 
 
-def _listed(manifest: Any) -> dict[str, int]:
-    """Identifiers by name, of a parsed manifest."""
+def _listed(text: str) -> dict[str, int]:
+    """Identifiers by name, of a manifest."""
+    if len(text) > MOST_BYTES:
+        raise ValueError(f"it is larger than {MOST_BYTES / 1e6:.0f} MB")
+    manifest: Any = json.loads(text)
     if not isinstance(manifest, dict):
         raise ValueError("it is no object with names")
-    for name, text in manifest.items():
-        if not isinstance(text, str) or not _IDENTIFIER.fullmatch(text):
-            raise ValueError(f"{name!r:.60} has {text!r:.60} in place of 8 hexadecimal digits")
-    return {name: int(text, 16) for name, text in manifest.items()}
+    for name, digits in manifest.items():
+        if not isinstance(digits, str) or not _IDENTIFIER.fullmatch(digits):
+            raise ValueError(f"{name!r:.60} has {digits!r:.60} in place of 8 hexadecimal digits")
+    return {name: int(digits, 16) for name, digits in manifest.items()}
 
 
 def _names_of(layer: CryptomatteLayer) -> tuple[str, str]:
