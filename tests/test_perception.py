@@ -226,6 +226,7 @@ def test_the_command_prints_groups(tmp_path):
     assert found["scores"] == {"c": 120, "a": 80, "b": 40, "d": 0}
     assert found["consistency"] == found["agreement"] == 1
     assert found["groups"] == [["c"], ["a"], ["b"], ["d"]]
-    assert "needs three or more" in refused("votes", files[0])
+    few = f"error: {files[0]}: 1 complete rounds of all pairs; the analysis needs three or more"
+    assert few in refused("votes", files[0])
     line = refused("votes", tmp_path / "no.csv")
     assert "no.csv: no such file; give a file that the page of `jaxblur study` saved" in line

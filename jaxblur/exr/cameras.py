@@ -182,7 +182,7 @@ def read_camera_file(path: PathLike) -> CameraFile:
         raise JaxblurIOError(path, 'must be an object with "frames", an object by frame number.')
     axes = content.get("axes", "y-up")
     if not isinstance(axes, str) or axes not in AXES:
-        raise JaxblurIOError(path, f"axes: must be {' or '.join(AXES)}, got {axes!r}.")
+        raise JaxblurIOError(path, f"axes: must be {' or '.join(AXES)}, got {axes!r:.200}.")
     shared = {key: value for key, value in content.items() if key not in ("axes", "frames")}
     frames: dict[int, dict[str, Any]] = {}
     for number, fields in content["frames"].items():
@@ -207,7 +207,7 @@ def _checked_fields(path: PathLike, number: str, fields: dict[str, Any]) -> dict
         if name not in _SHAPES:
             raise refuse(f"unknown {name!r}{nearest(name, _SHAPES)}; known: {', '.join(_SHAPES)}.")
         if wrong := _fault(name, value):
-            raise refuse(f"{name} must be {wrong}, got {value!r}.")
+            raise refuse(f"{name} must be {wrong}, got {value!r:.200}.")
     return fields
 
 
