@@ -332,8 +332,8 @@ def test_a_page_shows_no_characters_that_change_its_reading_order(folder):
 # Attributes and parts of images
 
 
-def with_attribute(path, kind, data):
-    """Add an attribute ``jaxblur:filter`` of any type to a file of lines."""
+def with_attribute(path, kind, data, name_of=b"jaxblur:filter"):
+    """Add an attribute of any type to a file of lines."""
     content = bytearray(path.read_bytes())
     position = 8
     rows = top = bottom = 0
@@ -355,7 +355,7 @@ def with_attribute(path, kind, data):
         if name == b"dataWindow":
             _, top, _, bottom = struct.unpack_from("<4i", content, position)
         position += size
-    added = b"jaxblur:filter\0" + kind + b"\0" + struct.pack("<i", len(data)) + data
+    added = name_of + b"\0" + kind + b"\0" + struct.pack("<i", len(data)) + data
     for chunk in range(-(-(bottom - top + 1) // rows)):
         (offset,) = struct.unpack_from("<Q", content, position + 8 * chunk)
         struct.pack_into("<Q", content, position + 8 * chunk, offset + len(added))
@@ -387,6 +387,14 @@ def test_an_attribute_of_another_type_does_no_harm(tmp_path, kind, data):
     (tmp_path / "out.exr").rename(tmp_path / "out.0001.exr")
     sequence = ("blur", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr")
     assert "--overwrite replaces such files" in refused(*sequence)
+
+
+def test_an_attribute_that_only_openexr_may_write_is_left_out(tmp_path):
+    path = write_single(tmp_path / "in.exr", plain_frame((16, 16)))
+    with_attribute(path, b"int", struct.pack("<i", 3), b"version")
+    blur = ("blur", path, "-o", tmp_path / "out.exr", "--filter", "pixel_velocity")
+    assert run(*blur).status == 0
+    assert "version" not in exr.inspect(tmp_path / "out.exr").parts[0].attributes
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,15 @@ def test_a_part_with_missing_chunks_is_no_copy(tmp_path, copies):
     assert not (tmp_path / "o.exr").exists() and {0: 0, 2: 2} not in copies
 
 
+def test_a_part_without_a_number_of_chunks_is_not_copied(tmp_path, copies):
+    source = source_of(tmp_path / "a.exr", "zip")
+    source.write_bytes(source.read_bytes().replace(b"chunkCount", b"chunkKount", 1))
+    with contextlib.suppress(exr.JaxblurIOError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", exr.JaxblurIOWarning)
+        exr.write_image(tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source)
+    assert copies == []
+
+
 def test_chunks_that_overlap_are_not_copied(tmp_path, copies):
     source = source_of(tmp_path / "a.exr", "zips")
     data = source.read_bytes()

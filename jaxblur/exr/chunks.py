@@ -63,7 +63,7 @@ def alike(source: str, output: str, parts: Mapping[int, int]) -> dict[int, int]:
                 if theirs[old].storage == ours[new].storage
                 and (found := _places(file, theirs, old, size))
             }
-    except (ValueError, IndexError, struct.error):
+    except (ValueError, LookupError, struct.error):
         return {}
     every = sorted(place for found in places.values() for place in found)
     if any(end > begin for (_, end), (begin, _) in itertools.pairwise(every)):

@@ -15,10 +15,10 @@ from .opening import open_input, pending_message
 PNG_END = b"IEND\xaeB`\x82"
 HALF_MAX = 65504.0
 # These attributes describe how a model is stored, which may change; with `textureformat` the writer
-# would expect all levels of a mip-mapped picture.
+# would expect all levels of a mip-mapped picture, and OpenEXR keeps `version` for itself.
 STORAGE = (
     *("openexr:chunkCount", "openexr:levelmode", "openexr:roundingmode", "oiio:miplevels"),
-    *("textureformat", "openexr:dwaCompressionLevel"),
+    *("textureformat", "openexr:dwaCompressionLevel", "version"),
 )
 
 
