@@ -131,7 +131,7 @@ def table(tmp_path, **changes):
         ({"samples": LONGER}, "old.csv"),
         ({"radius": "\0"}, "old.csv"),
         ({"radius": 140_000 * "1"}, "is not a table"),
-        ({"radius": "\udcff"}, "is not a table"),
+        ({"radius": "\udcff"}, "is no text in UTF-8"),
     ],
 )
 def test_a_damaged_table_names_the_file(tmp_path, changes, words):
@@ -294,6 +294,15 @@ def test_a_damaged_manifest_names_the_file(folder, edit, word, tmp_path):
     assert f"{folder / MANIFEST}: " in message or "a\\x00b" in message
     assert word in message or "a\\x00b" in message
     assert not (tmp_path / "page.html").exists()
+
+
+def test_a_wrong_value_of_a_manifest_is_cut_and_named_in_its_own_words(folder):
+    content = json.loads((folder / MANIFEST).read_text())
+    content["shots"][0]["pictures"][0]["flip"] = 5000 * [9]
+    (folder / MANIFEST).write_text(json.dumps(content))
+    with pytest.raises(JaxblurIOError, match=r"'flip' must be str or null, got \[9, 9") as refusal:
+        read_result(folder)
+    assert len(str(refusal.value)) < 500
 
 
 def test_a_deep_manifest_is_refused(folder, tmp_path):

@@ -335,7 +335,7 @@ def _decode_union(kinds: Sequence[Any], value: Any, where: str) -> Any:
         if kind is not types.NoneType and (dataclasses.is_dataclass(kind) or type(value) is kind):
             return _decode(kind, value, where)
     names = " or ".join(kind.__name__ for kind in kinds)
-    raise ValueError(f"`{where}` must be {names}, got {value!r}.")
+    raise ValueError(f"`{where}` must be {names}, got {value!r:.200}.")
 
 
 def _decode_record(kind: Any, value: Any, where: str) -> Any:
@@ -361,5 +361,5 @@ def _decode_record(kind: Any, value: Any, where: str) -> Any:
 
 def _expect(kind: Any, value: Any, where: str) -> Any:
     if type(value) is not kind:
-        raise ValueError(f"`{where}` must be {kind.__name__}, got {value!r}.")
+        raise ValueError(f"`{where}` must be {kind.__name__}, got {value!r:.200}.")
     return value

@@ -357,8 +357,8 @@ class _Reader:
             raise JaxblurIOError(self.path, f"{key!r} is missing; write the result again.")
         # Python counts bool as a number; the manifest does not.
         if not isinstance(table[key], kinds) or (type(table[key]) is bool) != (bool in kinds):
-            names = " or ".join(kind.__name__ for kind in kinds)
-            raise JaxblurIOError(self.path, f"{key!r} must be {names}, got {table[key]!r}.")
+            names = " or ".join("null" if k is type(None) else k.__name__ for k in kinds)
+            raise JaxblurIOError(self.path, f"{key!r} must be {names}, got {table[key]!r:.200}.")
         return table[key]
 
     def shot(self, entry: Any) -> Shot:
@@ -405,7 +405,9 @@ class _Reader:
         try:
             return {name: float(value) for name, value in table.items()}
         except (TypeError, ValueError, OverflowError) as error:
-            raise JaxblurIOError(self.path, f"'scores' must be numbers, got {table!r}.") from error
+            raise JaxblurIOError(
+                self.path, f"'scores' must be numbers, got {table!r:.200}."
+            ) from error
 
     def image(self, name: str, sha256: str | None) -> np.ndarray:
         """Read an image of the folder and check its hash."""
