@@ -196,7 +196,7 @@ def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,a,a,\n", "line 2"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1,,a,b,a,\n", "line 2 has no scene; give a file that"),
         (f"{','.join(COLUMNS)}\nk, ,,t,1,,a,b,a,\n", "line 2 has no observer, scene;"),
-        ("\0\xff", "is no text; give a file that"),
+        ("\0\xff", "is no text in UTF-8; give a file that"),
         ("a\0,b\n", "is no text; give a file that"),
     ],
 )
