@@ -111,7 +111,7 @@ def test_a_killed_command_takes_its_child_with_it():
     )
     command = [sys.executable, "-c", code, "info", str(CAR), "--isolate"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "waiting\n"
+        assert process.stdout is not None and process.stdout.readline() == "waiting\n"
         process.kill()
         # The pipe ends when the child, which has it too, is gone.
         process.communicate(timeout=30)

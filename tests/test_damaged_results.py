@@ -5,6 +5,7 @@ import json
 import os
 import struct
 import zipfile
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -212,7 +213,7 @@ def test_a_state_of_another_shape_is_refused(state):
 
 def test_a_state_that_unpacks_to_more_than_a_fit_holds_is_refused(state):
     path, fresh = state
-    arrays = dict(np.load(path))
+    arrays: dict[str, Any] = dict(np.load(path))
     np.savez_compressed(path, **arrays | {"trail": np.zeros(MOST_BYTES // 8)})
     assert path.stat().st_size < 100_000
     with pytest.raises(ValueError, match="does not hold the state of a fit"):
