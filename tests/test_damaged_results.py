@@ -213,8 +213,9 @@ def test_a_state_of_another_shape_is_refused(state):
 
 def test_a_state_that_unpacks_to_more_than_a_fit_holds_is_refused(state):
     path, fresh = state
-    arrays: dict[str, Any] = dict(np.load(path))
-    np.savez_compressed(path, **arrays | {"trail": np.zeros(MOST_BYTES // 8)})
+    with np.load(path) as file:
+        arrays: Any = {**file, "trail": np.zeros(MOST_BYTES // 8)}
+    np.savez_compressed(path, **arrays)
     assert path.stat().st_size < 100_000
     with pytest.raises(ValueError, match="does not hold the state of a fit"):
         descent.load_state(path, fresh, "mark")
