@@ -185,6 +185,7 @@ def test_a_world_without_a_common_motion_is_refused(tmp_path):
     ("changes", "words"),
     [
         ({"axes": "z-up"}, "axes: must be y-up or y-down"),
+        ({"axes": []}, "axes: must be y-up or y-down, got []"),
         ({"frames": {}}, "add frame 11"),
         ({"frames": {"x": {}}}, "must be a whole number"),
         ({"frames": {5000 * "1": {}}}, "must be a whole number"),
@@ -206,6 +207,25 @@ def test_wrong_camera_files(tmp_path, changes, words):
     cameras = camera_json(tmp_path / "cam.json", **changes)
     options = ("--objects-only", "--camera", cameras)
     assert words in refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
+
+
+def test_cameras_that_are_scaled_are_refused_by_the_name_of_their_file(tmp_path):
+    path, _ = shot(tmp_path / "a.0011.exr")
+    frames = {str(n): {"camera_to_world": camera_to_world(n).tolist()} for n in (10, 11, 12)}
+    scaled = camera_to_world(12) @ np.diag([2.0, 1.0, 1.0, 1.0])
+    frames["12"] = {"camera_to_world": scaled.tolist()}
+    cameras = camera_json(tmp_path / "cam.json", frames=frames)
+    options = ("--objects-only", "--camera", cameras)
+    error = refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
+    assert f"error: {cameras}: its cameras of neighboring frames must differ by a rotation" in error
+
+
+def test_a_long_value_of_a_camera_file_is_cut(tmp_path):
+    path, _ = shot(tmp_path / "a.0011.exr")
+    cameras = camera_json(tmp_path / "cam.json", field_of_view="9" * 5000)
+    options = ("--objects-only", "--camera", cameras)
+    error = refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
+    assert "field_of_view must be finite numbers" in error and len(error) < 1000
 
 
 def test_a_camera_file_that_is_nested_too_deep(tmp_path):

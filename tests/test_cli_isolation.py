@@ -1,5 +1,8 @@
 """Commands in a process of their own: limits of memory and time, crashes."""
 
+import subprocess
+import sys
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -97,6 +100,21 @@ def test_a_crash_names_the_file(tmp_path):
     result = spawn("info", path, "--isolate", code=code)
     assert result.returncode == 2
     assert f"error: {path}: reading it crashed (SIGSEGV)" in result.stderr
+
+
+def test_a_killed_command_takes_its_child_with_it():
+    code = (
+        "import sys; from jaxblur.cli import isolation, main;"
+        "waiting = 'import time; print(\"waiting\", flush=True); time.sleep(60)';"
+        "isolation.CHILD = isolation.CHILD.replace('sys.exit(main(argv))', waiting);"
+        "sys.exit(main())"
+    )
+    command = [sys.executable, "-c", code, "info", str(CAR), "--isolate"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "waiting\n"
+        process.kill()
+        # The pipe ends when the child, which has it too, is gone.
+        process.communicate(timeout=30)
 
 
 def test_too_little_memory_is_a_wrong_argument():

@@ -96,7 +96,7 @@ def test_mattes_may_be_in_a_file_of_their_own(tmp_path):
         (("--matte-from", "x.exr"), "--matte-from: is for --scale-motion"),
         (("--camera", "fit"), "--camera: is for --camera-motion"),
         (("--camera", "fitt", "--objects-only"), "did you mean fit?"),
-        (("--camera", "no.json", "--objects-only"), "cannot be read as JSON"),
+        (("--camera", "no.json", "--objects-only"), "no.json: no such file; give a JSON file"),
         (("--camera-motion", "1", "--objects-only"), "not allowed with"),
         (("--limit-motion", "valf"), "did you mean valve?"),
         (("--objects-only", "--subframes", "s.####.exr"), "--objects-only: with --subframes"),

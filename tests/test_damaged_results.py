@@ -1,14 +1,18 @@
 """Damaged files of the kinds that jaxblur writes: fits, tables, states, reports, attributes."""
 
+import functools
 import json
+import os
 import struct
 import zipfile
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxblur import bench, exr
+from jaxblur import bench, exr, perception
+from jaxblur._util.small_files import MOST_BYTES
 from jaxblur.bench.results import COLUMNS
 from jaxblur.exr import JaxblurIOError
 from jaxblur.fitting import descent
@@ -128,7 +132,7 @@ def table(tmp_path, **changes):
         ({"samples": LONGER}, "old.csv"),
         ({"radius": "\0"}, "old.csv"),
         ({"radius": 140_000 * "1"}, "is not a table"),
-        ({"radius": "\udcff"}, "is not a table"),
+        ({"radius": "\udcff"}, "is no text in UTF-8"),
     ],
 )
 def test_a_damaged_table_names_the_file(tmp_path, changes, words):
@@ -207,6 +211,60 @@ def test_a_state_of_another_shape_is_refused(state):
         descent.load_state(path, other, "mark")
 
 
+def test_a_state_that_unpacks_to_more_than_a_fit_holds_is_refused(state):
+    path, fresh = state
+    with np.load(path) as file:
+        arrays: Any = {**file, "trail": np.zeros(MOST_BYTES // 8)}
+    np.savez_compressed(path, **arrays)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="does not hold the state of a fit"):
+        descent.load_state(path, fresh, "mark")
+
+
+# Files of every kind that are no such files
+
+READERS = {
+    "fit": FitResult.load,
+    "state": lambda path: descent.load_state(path, descent.State(jnp.zeros(1), ()), ""),
+    "table": bench.read_rows,
+    "cameras": exr.read_camera_file,
+    "votes": lambda path: perception.read_votes([path]),
+    "result": lambda path: read_result(path.parent),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_what_never_ends_or_is_too_large_is_refused_at_once(tmp_path, kind):
+    path = tmp_path / MANIFEST
+    refusal = functools.partial(pytest.raises, JaxblurIOError)
+    with refusal(match=rf"{MANIFEST}: no such file; "):
+        READERS[kind](path)
+    os.mkfifo(path)
+    with refusal(match=rf"{MANIFEST}: is not a file; "):
+        READERS[kind](path)
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with refusal(match=rf"{MANIFEST}: is not a file; "):
+        READERS[kind](path)
+    path.unlink()
+    path.touch()
+    os.truncate(path, MOST_BYTES + 1)
+    with refusal(match=rf"{MANIFEST}: is larger than 20 MB; "):
+        READERS[kind](path)
+    path.unlink()
+    path.mkdir()
+    with refusal(match=rf"{MANIFEST}: is a folder; "):
+        READERS[kind](path)
+
+
+def test_bytes_that_are_no_text_are_refused_in_plain_words(tmp_path):
+    path = tmp_path / MANIFEST
+    path.write_bytes(b'{"a": "\xff"}')
+    for kind in sorted(READERS.keys() - {"state"}):
+        with pytest.raises(JaxblurIOError, match="is no text in UTF-8; "):
+            READERS[kind](path)
+
+
 # Folders of results
 
 
@@ -238,6 +296,15 @@ def test_a_damaged_manifest_names_the_file(folder, edit, word, tmp_path):
     assert f"{folder / MANIFEST}: " in message or "a\\x00b" in message
     assert word in message or "a\\x00b" in message
     assert not (tmp_path / "page.html").exists()
+
+
+def test_a_wrong_value_of_a_manifest_is_cut_and_named_in_its_own_words(folder):
+    content = json.loads((folder / MANIFEST).read_text())
+    content["shots"][0]["pictures"][0]["flip"] = 5000 * [9]
+    (folder / MANIFEST).write_text(json.dumps(content))
+    with pytest.raises(JaxblurIOError, match=r"'flip' must be str or null, got \[9, 9") as refusal:
+        read_result(folder)
+    assert len(str(refusal.value)) < 500
 
 
 def test_a_deep_manifest_is_refused(folder, tmp_path):
@@ -276,8 +343,8 @@ def test_a_page_shows_no_characters_that_change_its_reading_order(folder):
 # Attributes and parts of images
 
 
-def with_attribute(path, kind, data):
-    """Add an attribute ``jaxblur:filter`` of any type to a file of lines."""
+def with_attribute(path, kind, data, name_of=b"jaxblur:filter"):
+    """Add an attribute of any type to a file of lines."""
     content = bytearray(path.read_bytes())
     position = 8
     rows = top = bottom = 0
@@ -299,7 +366,7 @@ def with_attribute(path, kind, data):
         if name == b"dataWindow":
             _, top, _, bottom = struct.unpack_from("<4i", content, position)
         position += size
-    added = b"jaxblur:filter\0" + kind + b"\0" + struct.pack("<i", len(data)) + data
+    added = name_of + b"\0" + kind + b"\0" + struct.pack("<i", len(data)) + data
     for chunk in range(-(-(bottom - top + 1) // rows)):
         (offset,) = struct.unpack_from("<Q", content, position + 8 * chunk)
         struct.pack_into("<Q", content, position + 8 * chunk, offset + len(added))
@@ -331,6 +398,24 @@ def test_an_attribute_of_another_type_does_no_harm(tmp_path, kind, data):
     (tmp_path / "out.exr").rename(tmp_path / "out.0001.exr")
     sequence = ("blur", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr")
     assert "--overwrite replaces such files" in refused(*sequence)
+
+
+def test_an_attribute_that_only_openexr_may_write_is_left_out(tmp_path):
+    path = write_single(tmp_path / "in.exr", plain_frame((16, 16)))
+    with_attribute(path, b"int", struct.pack("<i", 3), b"version")
+    blur = ("blur", path, "-o", tmp_path / "out.exr", "--filter", "pixel_velocity")
+    assert run(*blur).status == 0
+    assert "version" not in exr.inspect(tmp_path / "out.exr").parts[0].attributes
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"), [(b"mystery", "uint8[4000000]"), (b"floatvector", "float[1000000]")]
+)
+def test_a_long_attribute_is_listed_by_its_type(tmp_path, kind, what):
+    path = write_single(tmp_path / "in.exr", plain_frame((16, 16)))
+    with_attribute(path, kind, bytes(4_000_000))
+    assert exr.inspect(path).parts[0].attributes["jaxblur:filter"] == what
+    assert what in run("info", "-v", path).out
 
 
 def test_many_parts_are_listed_once(tmp_path, monkeypatch):

@@ -1,11 +1,14 @@
 """Parts that are copied as they are stored."""
 
+import contextlib
+import warnings
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
 from jaxblur import exr
-from jaxblur.exr import write_like
+from jaxblur.exr import chunks, write_like
 from tests.exr_files import make_spec, plain_frame, read_raw, write_parts
 
 SHAPE = (40, 24)
@@ -79,6 +82,41 @@ def test_a_part_with_missing_chunks_is_no_copy(tmp_path, copies):
     with pytest.raises(exr.JaxblurIOError):
         exr.write_image(tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source)
     assert not (tmp_path / "o.exr").exists() and {0: 0, 2: 2} not in copies
+
+
+def test_a_part_without_a_number_of_chunks_is_not_copied(tmp_path, copies):
+    source = source_of(tmp_path / "a.exr", "zip")
+    source.write_bytes(source.read_bytes().replace(b"chunkCount", b"chunkKount", 1))
+    with contextlib.suppress(exr.JaxblurIOError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", exr.JaxblurIOWarning)
+        exr.write_image(tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source)
+    assert copies == []
+
+
+def test_chunks_that_overlap_are_not_copied(tmp_path, copies):
+    source = source_of(tmp_path / "a.exr", "zips")
+    data = source.read_bytes()
+    with source.open("rb") as file:
+        first, *_ = chunks._parts(file)
+    table = slice(first.table, first.table + 8 * first.chunks)
+    source.write_bytes(data.replace(data[table], first.chunks * data[table][:8]))
+    # OpenImageIO may read such a file: then the part is decoded, which limits its size.
+    with contextlib.suppress(exr.JaxblurIOError), warnings.catch_warnings():
+        warnings.simplefilter("ignore", exr.JaxblurIOWarning)
+        exr.write_image(tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source)
+    assert copies == []
+
+
+def test_many_parts_are_compared_in_one_pass(tmp_path, monkeypatch):
+    extra = {"X": np.zeros(SHAPE, np.float32)}
+    parts = [(make_spec(extra, name=f"p{index}"), extra) for index in range(40)]
+    color = {c: np.zeros(SHAPE, np.float32) for c in "RGB"}
+    source = write_parts(tmp_path / "a.exr", [(make_spec(color, name="rgb"), color), *parts])
+    found, parse = [], chunks._parts
+    monkeypatch.setattr(chunks, "_parts", lambda file: (found.append(file), parse(file))[1])
+    exr.write_image(tmp_path / "o.exr", np.ones((*SHAPE, 3), np.float32), like=source)
+    # Both files when they are compared, and when chunks are copied.
+    assert len(found) == 4
 
 
 def test_non_finite_values_are_repaired_on_request(tmp_path, copies):

@@ -31,7 +31,7 @@ def test_a_manifest_may_be_a_file_beside(tmp_path):
     notes = crypto_notes(manif_file="names.json")
     manifest = notes.pop("cryptomatte/a1b2c3d/manifest")
     path = write_crypto(tmp_path / "a.exr", notes=notes)
-    with pytest.raises(exr.JaxblurIOError, match=r"names\.json cannot be read"):
+    with pytest.raises(exr.JaxblurIOError, match=r"its manifest .*names\.json: no such file"):
         exr.read_cryptomatte(path, "/hero")
     (tmp_path / "names.json").write_text(manifest)
     assert exr.read_cryptomatte(path, "/hero").max() == 0.75
@@ -49,8 +49,10 @@ def test_a_thing_outside_the_frame_covers_nothing(tmp_path):
         ("/hero", {"hash": "MD5"}, "hash MD5 with uint32_to_float32 is not known"),
         ("/hero", {"name": "Other"}, r"there are no channels Other00\.R"),
         ("/hero", {"manifest": "{"}, "damaged manifest"),
-        ("/hero", {"manifest": '{"/hero": "123456789"}'}, "more than 32 bits"),
-        ("/hero", {"manifest": '{"/hero": 1}'}, "damaged manifest"),
+        ("/hero", {"manifest": "[]"}, "damaged manifest \\(it is no object with names"),
+        ("/hero", {"manifest": '{"/hero": "123456789"}'}, "'123456789' in place of 8 hexadecimal"),
+        ("/hero", {"manifest": '{"/hero": "-1"}'}, "'-1' in place of 8 hexadecimal digits"),
+        ("/hero", {"manifest": '{"/hero": 1}'}, "'/hero' has 1 in place of 8 hexadecimal digits"),
         ("/hero", {"manifest": 3000 * "["}, "damaged manifest"),
     ],
 )
@@ -58,6 +60,12 @@ def test_wrong_cryptomattes(tmp_path, name, notes, match):
     path = write_crypto(tmp_path / "a.exr", notes=crypto_notes(**notes))
     with pytest.raises(exr.JaxblurIOError, match=match):
         exr.read_cryptomatte(path, name)
+
+
+def test_a_manifest_that_would_fill_the_memory_is_rejected(tmp_path):
+    path = write_crypto(tmp_path / "a.exr", notes=crypto_notes(manifest=7_000_000 * "{},"))
+    with pytest.raises(exr.JaxblurIOError, match="it is larger than 20 MB"):
+        exr.read_cryptomatte(path, "/hero")
 
 
 def test_identifiers_in_half_are_rejected(tmp_path):

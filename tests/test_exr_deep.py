@@ -6,6 +6,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
+from tests.command_line import run
 
 SIZE = (48, 72)
 CHANNELS = ("R", "G", "B", "A", "Z", "velocity.X", "velocity.Y")
@@ -175,3 +176,9 @@ def test_refusals(tmp_path, discs):
     exr.write_channels(frame, dict(zip(CHANNELS, np.moveaxis(image, -1, 0), strict=True)))
     with pytest.raises(exr.JaxblurIOError, match=r"frame.exr: .*not deep"):
         exr.read_deep_layers(frame, 2)
+
+
+def test_a_deep_file_is_listed_without_speeds(discs):
+    outcome = run("info", discs)
+    assert outcome.status == 0 and "zips, deep" in outcome.out
+    assert "speeds not measured: deep pixels; `jaxblur layers` blurs them" in outcome.out

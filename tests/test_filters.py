@@ -109,14 +109,15 @@ def test_any_number_of_channels(channels):
     np.testing.assert_allclose(run("guertin2014", frame, noise=noise), expected, rtol=1e-4)
 
 
-def test_half_and_numpy_buffers_are_computed_in_float32():
+@pytest.mark.parametrize("name", FILTERS)
+def test_half_and_numpy_buffers_are_computed_in_float32(name):
     frame = random_frame((6, 7))
     halves: list[Any] = [np.asarray(buffer, np.float16) for buffer in as_arrays(frame)]
     half = jaxblur.Frame(*halves)
     full = jaxblur.Frame(*(jnp.asarray(buffer, jnp.float32) for buffer in halves))
-    actual = run("guertin2014", half)
+    actual = run(name, half)
     assert actual.dtype == np.float32
-    np.testing.assert_array_equal(actual, run("guertin2014", full))
+    np.testing.assert_array_equal(actual, run(name, full))
 
 
 @pytest.mark.parametrize("name", with_slow(FILTERS, "layered", "guertin2014"))
@@ -205,6 +206,15 @@ def test_half_a_pixel_of_motion_or_less_is_the_identity_bit_for_bit(name, speed,
     still = jaxblur.Frame(frame.color, frame.depth, jnp.full_like(frame.velocity, speed))
     output = run(name, still, change(tile_choice=choice))
     np.testing.assert_array_equal(output, frame.color)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_pixels_that_nothing_reaches_keep_their_bits(name):
+    frame = random_frame((12, 30))
+    corner = jnp.zeros_like(frame.velocity).at[:3, :3].set(jnp.array([2.0, 1.0]))
+    output = run(name, jaxblur.Frame(frame.color, frame.depth, corner))
+    np.testing.assert_array_equal(output[:, 24:], frame.color[:, 24:])
+    assert np.abs(output - frame.color)[:6, :6].max() > 0.01
 
 
 @pytest.mark.parametrize("name", FILTERS)

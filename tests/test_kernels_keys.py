@@ -112,7 +112,9 @@ def test_a_kernel_that_is_known_is_not_printed(new_process, tmp_path):
     assert record.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.parametrize("damage", ["no library", "no record", "torn record", "open record"])
+@pytest.mark.parametrize(
+    "damage", ["no library", "no record", "torn record", "changed record", "open record"]
+)
 @pytest.mark.skipif(build.find_compiler() is None, reason="needs a C++ compiler")
 def test_a_kernel_whose_files_are_not_whole_is_printed_again(new_process, tmp_path, damage):
     new_process()
@@ -126,6 +128,9 @@ def test_a_kernel_whose_files_are_not_whole_is_printed_again(new_process, tmp_pa
         record.unlink()
     elif damage == "torn record":
         record.write_text(record.read_text()[:9])
+    elif damage == "changed record":
+        # The kernel would write over the end of its result.
+        record.write_text(record.read_text().replace(", 1, ", ", 0, "))
     else:
         record.chmod(0o666)
     printed = new_process()

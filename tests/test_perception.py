@@ -196,7 +196,7 @@ def test_no_attentive_observer_is_an_error_that_says_so(tmp_path):
         (f"{','.join(COLUMNS)}\nk,o,,t,1,s,a,a,a,\n", "line 2"),
         (f"{','.join(COLUMNS)}\nk,o,,t,1,,a,b,a,\n", "line 2 has no scene; give a file that"),
         (f"{','.join(COLUMNS)}\nk, ,,t,1,,a,b,a,\n", "line 2 has no observer, scene;"),
-        ("\0\xff", "is no text; give a file that"),
+        ("\0\xff", "is no text in UTF-8; give a file that"),
         ("a\0,b\n", "is no text; give a file that"),
     ],
 )
@@ -226,6 +226,7 @@ def test_the_command_prints_groups(tmp_path):
     assert found["scores"] == {"c": 120, "a": 80, "b": 40, "d": 0}
     assert found["consistency"] == found["agreement"] == 1
     assert found["groups"] == [["c"], ["a"], ["b"], ["d"]]
-    assert "needs three or more" in refused("votes", files[0])
+    few = f"error: {files[0]}: 1 complete rounds of all pairs; the analysis needs three or more"
+    assert few in refused("votes", files[0])
     line = refused("votes", tmp_path / "no.csv")
     assert "no.csv: no such file; give a file that the page of `jaxblur study` saved" in line

@@ -29,4 +29,6 @@ def test_the_ten_lines_run_and_blur(tmp_path, monkeypatch):
 def test_it_names_the_two_commands():
     blocks = README.split("```\n")
     assert any(block.rstrip().endswith(".venv/bin/jaxblur demo") for block in blocks)
-    assert any(block.rstrip().endswith(".venv/bin/pytest -n 2 --dist worksteal") for block in blocks)
+    assert any(
+        block.rstrip().endswith(".venv/bin/pytest -n 2 --dist worksteal") for block in blocks
+    )

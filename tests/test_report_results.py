@@ -80,7 +80,7 @@ def test_a_result_that_was_interrupted_does_not_count(folder):
 
     with pytest.raises(RuntimeError, match="out of frames"):
         write_result(folder, "Third", broken())
-    with pytest.raises(JaxblurIOError, match="is missing"):
+    with pytest.raises(JaxblurIOError, match="no such file"):
         read_result(folder)
 
 

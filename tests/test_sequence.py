@@ -168,6 +168,25 @@ def test_a_frame_whose_input_changed_is_blurred_again(folder):
     assert (first.action, first.reason) == ("blur", "the input has changed since")
 
 
+@pytest.mark.parametrize("kind", ["exr", "png"])
+def test_an_output_that_has_lost_its_end_is_made_again(folder, kind):
+    path, sources, _ = folder
+    folder = path, sources, [parse_names(path / f"out.####.{kind}")]
+    make(planned(folder)[0])
+    output = path / f"out.0001.{kind}"
+    os.truncate(output, output.stat().st_size - 5)
+    first, _ = planned(folder)
+    assert (first.action, first.reason) == ("blur", "a file has lost its end")
+
+
+def test_a_speed_that_is_no_number_is_left_out(folder):
+    first, _ = planned(folder)
+    for speed in ("fast", ""):
+        notes = {**first.marks, MEAN_SPEED: speed}
+        exr.write_image(first.outputs[0], exr.read_image(first.inputs["input"]), attributes=notes)
+        assert (planned(folder)[0].action, planned(folder)[0].mean_speed) == ("keep", None)
+
+
 @pytest.mark.parametrize("content", [b"", b"precious"])
 def test_files_that_jaxblur_did_not_write_are_not_replaced(folder, content):
     path, *_ = folder

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from .._util.atomic import replacing
+from .._util.small_files import read_text
 from ..settings import GuertinSettings
 from .cases import AUTO, RENDERERS, UNBLURRED, Case, filter_of, names_of_settings, usual_settings
 from .subjects import Subject
@@ -22,6 +23,7 @@ from .subjects import Subject
 _PACKAGE = pathlib.Path(__file__).parents[1]
 _NOT_MEASURED = {"bench", "cli", "exr", "fitting", "report", "sequence", "show", "vectors"}
 _SOURCES = {".py", ".cc", ".h"}
+_WRITTEN = "give a file that `jaxblur bench` wrote."
 SETTINGS = tuple(field.name for field in dataclasses.fields(GuertinSettings))
 """Columns: the settings that every filter has, and those of guertin2014."""
 POSITIVE = ("ms", "cpu_ms", "calibration_ms", "rounds")
@@ -178,22 +180,16 @@ def read_rows(path: pathlib.Path) -> list[Row]:
 
     Raises:
         ValueError: it is no such file, or a figure is not a number.
-        OSError: it cannot be read.
+        JaxblurIOError: it cannot be read as text.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        try:
-            missing = {"scene", "method", "ms"} - set(reader.fieldnames or ())
-            if missing:
-                raise ValueError(
-                    f"{path}: has no column {', '.join(sorted(missing))}; give a file that "
-                    "`jaxblur bench` wrote."
-                )
-            return [_parse(path, reader.line_num, record) for record in reader]
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise ValueError(
-                f"{path}: is not a table ({error}); give a file that `jaxblur bench` wrote."
-            ) from error
+    reader = csv.DictReader(io.StringIO(read_text(path, _WRITTEN), newline=""))
+    try:
+        missing = {"scene", "method", "ms"} - set(reader.fieldnames or ())
+        if missing:
+            raise ValueError(f"{path}: has no column {', '.join(sorted(missing))}; {_WRITTEN}")
+        return [_parse(path, reader.line_num, record) for record in reader]
+    except csv.Error as error:
+        raise ValueError(f"{path}: is not a table ({error}); {_WRITTEN}") from error
 
 
 def _parse(path: pathlib.Path, line: int, record: dict[str, Any]) -> Row:

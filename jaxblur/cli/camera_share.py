@@ -115,20 +115,21 @@ def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:
             raise CommandError(f"--camera: {path.name} has no frame number to look up in {file}.")
         cameras = exr.read_camera_file(file)
         views = {s: None if n is None else cameras.camera(n, part) for s, n in numbers.items()}
+        whose = file
         said, remedy = f"of {file.name}", f"add frame {number} and one beside it to {file}"
     else:
         views: dict[int, Any] = {0: _header_view(path)}
         for side in (-1, 1):
             beside = numbers[side]
             views[side] = None if beside is None else _header_view(with_frame_number(path, beside))
-        said = "of the headers"
+        said, whose = "of the headers", path
         remedy = "take --camera fit, which finds it from the vectors, or --camera FILE.json"
         if arguments.camera != "header" and (views[0] is None or views[-1] is views[1] is None):
             return None
     if views[0] is None or (views[-1] is None and views[1] is None):
         lacking = "camera" if views[0] is None else "camera before or after"
         raise CommandError(f"--camera: no {lacking} of {path}; {remedy}.")
-    return said, _motion_of(path, views, buffers)
+    return said, _motion_of(whose, views, buffers)
 
 
 def _header_view(path: pathlib.Path) -> Any:
@@ -142,7 +143,7 @@ def _header_view(path: pathlib.Path) -> Any:
 
 
 def _motion_of(path: pathlib.Path, views: dict[int, Any], buffers: Any) -> Any:
-    """The motion of a scene at rest as a function of the exposure."""
+    """The motion of a scene at rest, by cameras from a file, as a function of the exposure."""
     import jaxblur
 
     here, intrinsics = views[0], jaxblur.Intrinsics(*views[0][1:])
@@ -161,7 +162,10 @@ def _motion_of(path: pathlib.Path, views: dict[int, Any], buffers: Any) -> Any:
                 here.world_to_camera, view.world_to_camera, jaxblur.Intrinsics(*view[1:])
             )
         except ValueError as error:
-            raise CommandError(f"{path}: the matrices of its cameras: {error}") from error
+            raise CommandError(
+                f"{path}: its cameras of neighboring frames must differ by a rotation and a "
+                f"translation alone ({error})"
+            ) from error
 
     def motion(shutter: float) -> Any:
         return jaxblur.path_between_cameras(

@@ -15,10 +15,15 @@ LARGE, EXPANSION = 500_000_000, 100
 LEAST_MEMORY = 256
 """MB in which Python and the libraries start."""
 CHILD = """
-import json, resource, sys
-sys.path[:], limits, argv = map(json.loads, sys.argv[1:])
+import json, os, resource, signal, sys, threading
+sys.path[:], limits, argv, parent = map(json.loads, sys.argv[1:])
 for name, (soft, hard) in limits.items():
     resource.setrlimit(getattr(resource, name), (soft, hard))
+def end_with_parent():
+    # The parent writes nothing: reading ends when its end of the pipe is closed.
+    os.read(parent, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
+threading.Thread(target=end_with_parent, daemon=True).start()
 from jaxblur.cli import isolation, main
 isolation.in_child = True
 sys.exit(main(argv))
@@ -109,14 +114,21 @@ def run(arguments: argparse.Namespace) -> int:
     }
     argv = [text for text in arguments.argv if text != "--isolate"]
     sys.stdout.flush()
+    read, write = os.pipe()
     # Modules come from where this process has them, not from the working folder.
-    command = [sys.executable, "-P", "-c", CHILD, *map(json.dumps, (sys.path, limits, argv))]
-    with subprocess.Popen(command) as child:
-        try:
-            status = child.wait()
-        except BaseException:
-            child.terminate()
-            raise
+    given = map(json.dumps, (sys.path, limits, argv, read))
+    try:
+        with subprocess.Popen(
+            [sys.executable, "-P", "-c", CHILD, *given], pass_fds=[read]
+        ) as child:
+            try:
+                status = child.wait()
+            except BaseException:
+                child.terminate()
+                raise
+    finally:
+        os.close(read)
+        os.close(write)
     if status >= 0:
         return status
     file = arguments.file if "file" in arguments else arguments.input

@@ -10,6 +10,8 @@ import pathlib
 import re
 from typing import Any, NamedTuple
 
+from jaxblur._util.small_files import read_text
+
 from .arguments import CommandError, did_you_mean, positive_number
 
 LOG = logging.getLogger("jaxblur")
@@ -274,10 +276,7 @@ def _points(curve: str | None) -> tuple[float, ...]:
 
 def _rows(path: pathlib.Path) -> list[list[float]]:
     """The numbers of a file, one or two in each line."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CommandError(f"{path}: cannot be read as text: {error}.") from error
+    text = read_text(path, "give a file with a number in each line.")
     lines = [
         (number, words)
         for number, line in enumerate(text.splitlines(), start=1)

@@ -73,6 +73,7 @@ from .listing import (
     inspect as inspect,
 )
 from .opening import FileStates as FileStates
+from .output import has_its_end as has_its_end
 from .passes import choose_passes as choose_passes
 from .ranks import (
     ChannelChange as ChannelChange,

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-import pathlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
+from jaxblur._util.small_files import read_text
 from jaxblur._util.text import nearest
 
 from .listing import FileInfo, Part
@@ -174,15 +174,15 @@ def read_camera_file(path: PathLike) -> CameraFile:
             wrong; the message names it.
     """
     try:
-        content: Any = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
+        content: Any = json.loads(read_text(path, "give a JSON file of cameras."))
     # Deep nesting exhausts the recursion of the parser.
-    except (OSError, ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"cannot be read as JSON ({error}).") from error
     if not isinstance(content, dict) or not isinstance(content.get("frames"), dict):
         raise JaxblurIOError(path, 'must be an object with "frames", an object by frame number.')
     axes = content.get("axes", "y-up")
-    if axes not in AXES:
-        raise JaxblurIOError(path, f"axes: must be {' or '.join(AXES)}, got {axes!r}.")
+    if not isinstance(axes, str) or axes not in AXES:
+        raise JaxblurIOError(path, f"axes: must be {' or '.join(AXES)}, got {axes!r:.200}.")
     shared = {key: value for key, value in content.items() if key not in ("axes", "frames")}
     frames: dict[int, dict[str, Any]] = {}
     for number, fields in content["frames"].items():
@@ -207,7 +207,7 @@ def _checked_fields(path: PathLike, number: str, fields: dict[str, Any]) -> dict
         if name not in _SHAPES:
             raise refuse(f"unknown {name!r}{nearest(name, _SHAPES)}; known: {', '.join(_SHAPES)}.")
         if wrong := _fault(name, value):
-            raise refuse(f"{name} must be {wrong}, got {value!r}.")
+            raise refuse(f"{name} must be {wrong}, got {value!r:.200}.")
     return fields
 
 

@@ -7,6 +7,7 @@ the headers agree in what chunks depend on, the chunks of one file are those of 
 Source: OpenEXR file layout, "Multi-part files", "Offset tables" and "Chunk layout".
 """
 
+import itertools
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -39,8 +40,8 @@ class _Part(NamedTuple):
     front: int
 
 
-def alike(source: str, output: str, parts: Mapping[int, int]) -> bool:
-    """Whether chunks of some parts of a file may stand in another file.
+def alike(source: str, output: str, parts: Mapping[int, int]) -> dict[int, int]:
+    """The parts of a file whose chunks may stand in another file.
 
     Args:
         source: EXR file.
@@ -48,19 +49,26 @@ def alike(source: str, output: str, parts: Mapping[int, int]) -> bool:
         parts: numbers of the parts in ``output`` by those in ``source``.
 
     Returns:
-        True if both are files of several parts and store these in the same way, and all chunks of
-        ``source`` are there.
+        Those of ``parts`` that both files store in the same way, and of which ``source`` holds all
+        chunks; none if one is no file of several parts, or if chunks overlap: a small file could
+        ask for copies without end.
     """
     try:
         with open(source, "rb") as file, open(output, "rb") as other:
             theirs, ours = _parts(file), _parts(other)
             size = os.fstat(file.fileno()).st_size
-            return all(
-                theirs[old].storage == ours[new].storage and _is_whole(file, theirs, old, size)
+            places = {
+                old: found
                 for old, new in parts.items()
-            )
-    except (ValueError, IndexError, struct.error):
-        return False
+                if theirs[old].storage == ours[new].storage
+                and (found := _places(file, theirs, old, size))
+            }
+    except (ValueError, LookupError, struct.error):
+        return {}
+    every = sorted(place for found in places.values() for place in found)
+    if any(end > begin for (_, end), (begin, _) in itertools.pairwise(every)):
+        return {}
+    return {old: parts[old] for old in places}
 
 
 def copy_chunks(source: str, output: str, parts: Mapping[int, int]) -> None:
@@ -88,15 +96,22 @@ def copy_chunks(source: str, output: str, parts: Mapping[int, int]) -> None:
             other.write(table)
 
 
-def _is_whole(file: BinaryIO, parts: list[_Part], number: int, length: int) -> bool:
-    """Whether every chunk of a part lies inside the file and names the part."""
+def _places(
+    file: BinaryIO, parts: list[_Part], number: int, length: int
+) -> list[tuple[int, int]] | None:
+    """Begin and end of each chunk of a part; None if one lies outside or is of another part."""
     first = parts[-1].table + 8 * parts[-1].chunks
-    for offset, size in _chunks(file, parts[number]):
-        file.seek(offset)
-        (named,) = struct.unpack("<i", file.read(4))
-        if named != number or offset < first or size < 0 or offset + size > length:
-            return False
-    return True
+    found = []
+    try:
+        for offset, size in _chunks(file, parts[number]):
+            file.seek(offset)
+            (named,) = struct.unpack("<i", file.read(4))
+            if named != number or offset < first or size < 0 or offset + size > length:
+                return None
+            found.append((offset, offset + size))
+    except (ValueError, struct.error):
+        return None
+    return found
 
 
 def _chunks(file: BinaryIO, part: _Part) -> Iterator[tuple[int, int]]:

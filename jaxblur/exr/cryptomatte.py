@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
+from jaxblur._util.small_files import MOST_BYTES, read_text
 from jaxblur._util.text import nearest
 
 from .channels import read_channels
@@ -34,6 +35,7 @@ _ENTRY = re.compile(r"cryptomatte/(?P<key>[^/]+)/(?P<field>\w+)")
 _COMPONENTS = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2, "alpha": 3}
 _RANKS = re.compile(r"(?P<layer>.+?)(?P<number>\d\d)\.(?P<component>[A-Za-z]+)")
 _PATTERN = re.compile(r"[*?\[]")
+_IDENTIFIER = re.compile(r"[0-9A-Fa-f]{1,8}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -251,32 +253,31 @@ def _layers_by_channels(info: FileInfo) -> dict[str, tuple[str, ...]]:
 def _manifest(info: FileInfo, name: str, fields: Mapping[str, str]) -> dict[str, int]:
     """Identifiers by name, from the header or from the file beside the picture that it names."""
     text = fields.get("manifest")
-    if text is None and (file := fields.get("manif_file")):
-        beside = os.path.join(os.path.dirname(info.path), os.path.basename(file))
-        try:
-            with open(beside, encoding="utf-8") as source:
-                text = source.read()
-        except (OSError, UnicodeDecodeError) as error:
-            raise JaxblurIOError(
-                info.path, f"Cryptomatte {name}: its manifest {beside} cannot be read ({error})."
-            ) from error
-    if text is None:
-        return {}
     try:
-        listed: Any = json.loads(text)
-        return {str(key): _identifier(value) for key, value in listed.items()}
+        if text is None and (file := fields.get("manif_file")):
+            beside = os.path.join(os.path.dirname(info.path), os.path.basename(file))
+            text = read_text(beside, "copy it with the picture.")
+        return {} if text is None else _listed(text)
+    except JaxblurIOError as error:
+        raise JaxblurIOError(info.path, f"Cryptomatte {name}: its manifest {error}") from error
     # Deep nesting exhausts the recursion of the parser.
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise JaxblurIOError(
             info.path, f"Cryptomatte {name}: damaged manifest ({error}); render again."
         ) from error
 
 
-def _identifier(text: str) -> int:
-    value = int(text, 16)
-    if not 0 <= value < 1 << 32:
-        raise ValueError(f"{text!r} has more than 32 bits")
-    return value
+def _listed(text: str) -> dict[str, int]:
+    """Identifiers by name, of a manifest."""
+    if len(text) > MOST_BYTES:
+        raise ValueError(f"it is larger than {MOST_BYTES / 1e6:.0f} MB")
+    manifest: Any = json.loads(text)
+    if not isinstance(manifest, dict):
+        raise ValueError("it is no object with names")
+    for name, digits in manifest.items():
+        if not isinstance(digits, str) or not _IDENTIFIER.fullmatch(digits):
+            raise ValueError(f"{name!r:.60} has {digits!r:.60} in place of 8 hexadecimal digits")
+    return {name: int(digits, 16) for name, digits in manifest.items()}
 
 
 def _names_of(layer: CryptomatteLayer) -> tuple[str, str]:

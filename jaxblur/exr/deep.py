@@ -245,14 +245,12 @@ def _read_samples(
                 "deep pixels: truncated or damaged, copy or render it again "
                 f"({pending_message(source)}).",
             )
-    counts = np.fromiter(map(data.samples, range(data.pixels)), np.int64, data.pixels)
+    counts, value = [data.samples(p) for p in range(data.pixels)], data.deep_value
     pixel = np.repeat(np.arange(data.pixels), counts)
-    rank = np.arange(len(pixel)) - np.repeat(np.cumsum(counts) - counts, counts)
-    places, ranks, value = pixel.tolist(), rank.tolist(), data.deep_value
     values = np.empty((len(pixel), len(names)), np.float32)
     for position, channel in enumerate(channels):
         at = channel.index
-        read = (value(p, at, s) for p, s in zip(places, ranks, strict=True))
+        read = (value(p, at, s) for p, count in enumerate(counts) for s in range(count))
         values[:, position] = np.fromiter(read, np.float32, len(pixel))
     width = info.parts[part].data_window[2]
     for position, name in enumerate(names):

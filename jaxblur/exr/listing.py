@@ -10,6 +10,9 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 
 from .opening import escaped, open_input, pending_message
 
+LONGEST_ARRAY = 100_000
+"""Elements of an attribute that is listed: as objects of Python they take ten times the memory."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
@@ -41,7 +44,8 @@ class Part:
         compression: scheme as the file names it, "none" if it names none.
         deep: whether pixels hold several samples each.
         levels: number of resolutions: 1, or more if mip-mapped; pixels are those of the first.
-        attributes: metadata, values as OpenImageIO gives them; bytes of unknown types as a tuple.
+        attributes: metadata, values as OpenImageIO gives them; bytes of unknown types as a tuple;
+            of an array longer than `LONGEST_ARRAY` its type, such as ``uint8[60000000]``.
     """
 
     name: str
@@ -161,7 +165,10 @@ def _describe_part(spec: Any, index: int) -> Part:
 
 
 def _attributes(spec: Any) -> dict[str, Any]:
-    return {escaped(a.name): _plain(a.value) for a in spec.extra_attribs}
+    return {
+        escaped(a.name): _plain(a.value) if a.type.arraylen <= LONGEST_ARRAY else str(a.type)
+        for a in spec.extra_attribs
+    }
 
 
 def _levels(count: Any) -> int:

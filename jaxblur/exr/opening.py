@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import os
 import pathlib
+import textwrap
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -14,6 +15,8 @@ from jaxblur._util.errors import JaxblurIOError, PathLike
 EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
 
 IMAGE_SIZE_LIMIT_MB = 4096
+LONGEST_MESSAGE = 400
+"""Characters of what the reader says that are printed."""
 
 
 @contextlib.contextmanager
@@ -87,7 +90,8 @@ def pending_message(source: Any = None) -> str:
         source: the reader or writer that failed, if there is one.
 
     Returns:
-        The message on one line; a message that is not text is replaced by a note that says so.
+        The message on one line, of `LONGEST_MESSAGE` characters at most; a message that is not text
+        is replaced by a note that says so.
     """
     messages = []
     for get in ([source.geterror] if source is not None else []) + [oiio.geterror]:
@@ -96,7 +100,8 @@ def pending_message(source: Any = None) -> str:
         except (UnicodeDecodeError, RuntimeError):
             messages.append("the reader's message is not text, the file is probably damaged")
     text = "; ".join(dict.fromkeys(escaped(m).strip() for m in messages if m.strip()))
-    return " ".join(text.split()) or "no reason given"
+    # Of a damaged table the reader complains chunk by chunk.
+    return textwrap.shorten(text, LONGEST_MESSAGE, placeholder=" ...") or "no reason given"
 
 
 def escaped(text: str) -> str:

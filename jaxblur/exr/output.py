@@ -1,6 +1,7 @@
 """Headers and writers of OpenImageIO, with checks that opening, writing and closing succeeded."""
 
 import contextlib
+import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -14,10 +15,10 @@ from .opening import open_input, pending_message
 PNG_END = b"IEND\xaeB`\x82"
 HALF_MAX = 65504.0
 # These attributes describe how a model is stored, which may change; with `textureformat` the writer
-# would expect all levels of a mip-mapped picture.
+# would expect all levels of a mip-mapped picture, and OpenEXR keeps `version` for itself.
 STORAGE = (
     *("openexr:chunkCount", "openexr:levelmode", "openexr:roundingmode", "oiio:miplevels"),
-    *("textureformat", "openexr:dwaCompressionLevel"),
+    *("textureformat", "openexr:dwaCompressionLevel", "version"),
 )
 
 
@@ -60,25 +61,28 @@ def writer(
     check(path, output, output.close())
     if finish is not None:
         finish()
-    _check_end(path, temporary)
-
-
-def _check_end(path: PathLike, temporary: str) -> None:
-    """Check the end of the file: on a full disk, closing may lose it without an error."""
-    if temporary.lower().endswith(".png"):
-        with open(temporary, "rb") as file:
-            whole = file.read().endswith(PNG_END)
-    else:
-        try:
-            whole = _last_row_is_there(temporary)
-        except JaxblurIOError as error:
-            raise JaxblurIOError(path, f"cannot be written: {error.reason}") from error
-    if not whole:
+    # On a full disk, closing may lose the end without an error.
+    if not has_its_end(temporary):
         raise JaxblurIOError(path, "cannot be written: its end is missing; is the disk full?")
 
 
-def _last_row_is_there(temporary: str) -> bool:
-    with open_input(temporary) as source:
+def has_its_end(path: PathLike) -> bool:
+    """Whether a file that was written here has not lost its end; all else is not looked at.
+
+    Args:
+        path: an EXR or a PNG.
+    """
+    if os.fspath(path).lower().endswith(".png"):
+        with open(path, "rb") as file:
+            return file.read().endswith(PNG_END)
+    try:
+        return _last_row_is_there(path)
+    except JaxblurIOError:
+        return False
+
+
+def _last_row_is_there(path: PathLike) -> bool:
+    with open_input(path) as source:
         last = 0
         while source.seek_subimage(last + 1, 0):
             last += 1

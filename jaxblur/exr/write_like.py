@@ -262,7 +262,7 @@ def _stored_alike(info: FileInfo, temporary: str, plans: list[_Plan], mend: bool
         return {}
     output.close()
     pending_message(output)
-    return {old: new for old, new in kept.items() if alike(info.path, temporary, {old: new})}
+    return alike(info.path, temporary, kept)
 
 
 def _report_storage(info: FileInfo, temporary: str, plans: list[_Plan]) -> None:

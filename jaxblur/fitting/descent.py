@@ -6,6 +6,7 @@ import io
 import math
 import os
 import time
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import optax
 from jaxtyping import Array, Float
 
 from .._util.atomic import replacing
+from .._util.small_files import MOST_BYTES, read_bytes
 from .._util.stages import Stage as Stage
 from .constraints import constraints_of, to_values
 from .objective import Batch, Objective, forward_differentiated, value_and_gradient
@@ -297,12 +299,14 @@ def load_state(path: str | os.PathLike[str], fresh: State, mark: str) -> State:
         The state.
 
     Raises:
+        JaxblurIOError: the file cannot be read.
         ValueError: the file holds no state, or that of another fit.
     """
-    # NumPy does not close a file that it opened by name and cannot read.
-    with open(path, "rb") as stream:
-        data = stream.read()
+    data = read_bytes(path, "start anew.")
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            if sum(entry.file_size for entry in file.infolist()) > MOST_BYTES:
+                raise ValueError("too large for a state")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = dict(file)
         found = str(arrays["mark"])

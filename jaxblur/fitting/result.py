@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._util.atomic import replacing
+from .._util.small_files import read_text
 from ..filters.registry import Parameters, filter_info
 from ..settings import GuertinSettings, Settings
 
@@ -219,19 +220,16 @@ class FitResult:
             The result.
 
         Raises:
-            ValueError: it is a folder or a pipe, or the file is not TOML, of another schema, has
-                unknown or missing keys or values of another type, or its filter is not
-                registered; the message names file and key.
-            OSError: the file cannot be read.
+            ValueError: the file is not TOML, of another schema, has unknown or missing keys or
+                values of another type, or its filter is not registered; the message names file
+                and key.
+            JaxblurIOError: the file cannot be read as text.
         """
-        if os.path.exists(path) and not os.path.isfile(path):
-            # A pipe would wait for its writer.
-            raise ValueError(f"{path}: is not a file; give one that `jaxblur fit` wrote.")
-        with open(path, "rb") as file:
-            try:
-                content = tomllib.load(file)
-            except (ValueError, RecursionError) as error:
-                raise ValueError(f"{path}: is not TOML: {error}.") from error
+        text = read_text(path, "give a file that `jaxblur fit` wrote.")
+        try:
+            content = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path}: is not TOML: {error}.") from error
         schema = content.pop("schema", None)
         if schema != SCHEMA:
             raise ValueError(
@@ -337,7 +335,7 @@ def _decode_union(kinds: Sequence[Any], value: Any, where: str) -> Any:
         if kind is not types.NoneType and (dataclasses.is_dataclass(kind) or type(value) is kind):
             return _decode(kind, value, where)
     names = " or ".join(kind.__name__ for kind in kinds)
-    raise ValueError(f"`{where}` must be {names}, got {value!r}.")
+    raise ValueError(f"`{where}` must be {names}, got {value!r:.200}.")
 
 
 def _decode_record(kind: Any, value: Any, where: str) -> Any:
@@ -363,5 +361,5 @@ def _decode_record(kind: Any, value: Any, where: str) -> Any:
 
 def _expect(kind: Any, value: Any, where: str) -> Any:
     if type(value) is not kind:
-        raise ValueError(f"`{where}` must be {kind.__name__}, got {value!r}.")
+        raise ValueError(f"`{where}` must be {kind.__name__}, got {value!r:.200}.")
     return value

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from .._util.errors import JaxblurIOError
+from .._util.small_files import read_text
 from .._util.text import printable
 
 Counts = Int[np.ndarray, "rounds stimuli stimuli"]
@@ -20,7 +21,6 @@ COLUMNS = ("study", "observer", "group", "trial", "scene", "first", "second", "c
 NAMED = ("study", "observer", "trial", "scene", "first", "second")
 """Columns in which no vote is empty."""
 SAVED = "give a file that the page of `jaxblur study` saved."
-MOST_BYTES = 50_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,23 +119,16 @@ def read_votes(paths: Iterable[str | pathlib.Path], least_right: float = 0.8) ->
 
 def _rows(path: pathlib.Path) -> list[dict[str, str]]:
     """The lines of a file of votes."""
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "no such file"
-        raise JaxblurIOError(path, f"{what}; {SAVED}")
+    text = read_text(path, SAVED)
+    if "\0" in text:
+        raise JaxblurIOError(path, f"is no text; {SAVED}")
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise JaxblurIOError(path, "is too large for a file of votes.")
-        text = path.read_text(encoding="utf-8-sig")
-        if "\0" in text:
-            raise JaxblurIOError(path, f"is no text; {SAVED}")
         reader = csv.DictReader(io.StringIO(text))
         missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
             raise JaxblurIOError(path, f"has no column {', '.join(missing)}; {SAVED}")
         rows = list(reader)
-    except UnicodeDecodeError as error:
-        raise JaxblurIOError(path, f"is no text; {SAVED}") from error
-    except (OSError, csv.Error) as error:
+    except csv.Error as error:
         raise JaxblurIOError(path, f"cannot be read as CSV: {error}.") from error
     for number, row in enumerate(rows, start=2):
         _check_vote(path, number, row)

@@ -37,6 +37,7 @@ import jaxblur
 
 from .._util.atomic import replacing
 from .._util.errors import JaxblurIOError
+from .._util.small_files import read_text
 from .._util.text import printable
 from ..exr import Conversion, check_view, read_image, write_image
 
@@ -277,12 +278,9 @@ def read_result(folder: pathlib.Path) -> Result:
             was written.
     """
     path = pathlib.Path(folder) / MANIFEST
-    if not path.is_file():
-        raise JaxblurIOError(
-            path, "is missing; `jaxblur blur --truth FILE --result DIR` and experiments write one."
-        )
+    text = read_text(path, "`jaxblur blur --truth FILE --result DIR` and experiments write one.")
     try:
-        content = _printable(json.loads(path.read_text(encoding="utf-8")))
+        content = _printable(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise JaxblurIOError(path, f"is not JSON: {error}; write the result again.") from error
     found = content.get("schema") if isinstance(content, dict) else None
@@ -362,8 +360,8 @@ class _Reader:
             raise JaxblurIOError(self.path, f"{key!r} is missing; write the result again.")
         # Python counts bool as a number; the manifest does not.
         if not isinstance(table[key], kinds) or (type(table[key]) is bool) != (bool in kinds):
-            names = " or ".join(kind.__name__ for kind in kinds)
-            raise JaxblurIOError(self.path, f"{key!r} must be {names}, got {table[key]!r}.")
+            names = " or ".join("null" if k is type(None) else k.__name__ for k in kinds)
+            raise JaxblurIOError(self.path, f"{key!r} must be {names}, got {table[key]!r:.200}.")
         return table[key]
 
     def shot(self, entry: Any) -> Shot:
@@ -410,7 +408,9 @@ class _Reader:
         try:
             return {name: float(value) for name, value in table.items()}
         except (TypeError, ValueError, OverflowError) as error:
-            raise JaxblurIOError(self.path, f"'scores' must be numbers, got {table!r}.") from error
+            raise JaxblurIOError(
+                self.path, f"'scores' must be numbers, got {table!r:.200}."
+            ) from error
 
     def image(self, name: str, sha256: str | None) -> np.ndarray:
         """Read an image of the folder and check its hash."""

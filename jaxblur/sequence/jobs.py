@@ -120,8 +120,8 @@ def plan_jobs(
 
     Returns:
         The plan. Outputs are kept if they were made with the same choices from inputs that have not
-        changed since, and made again if the inputs have changed. Any other existing file at an
-        output is refused.
+        changed since, and made again if the inputs have changed or an output has lost its end. Any
+        other existing file at an output is refused.
 
     Raises:
         JaxblurIOError: an output is one of the inputs.
@@ -208,13 +208,18 @@ def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
         return dataclasses.replace(job, reason="the input has changed since")
     if len(present) < len(job.outputs):
         return dataclasses.replace(job, reason="a file is missing")
-    speed = next(iter(found.values())).get(MEAN_SPEED)
-    return dataclasses.replace(
-        job,
-        action="keep",
-        reason="done before",
-        mean_speed=None if speed is None else float(speed),
-    )
+    if not all(map(exr.has_its_end, present)):
+        return dataclasses.replace(job, reason="a file has lost its end")
+    speed = _number(next(iter(found.values())).get(MEAN_SPEED))
+    return dataclasses.replace(job, action="keep", reason="done before", mean_speed=speed)
+
+
+def _number(attribute: Any) -> float | None:
+    """A number that was stored as text; None for anything else."""
+    try:
+        return float(attribute)
+    except (TypeError, ValueError):
+        return None
 
 
 def _marks_in(path: pathlib.Path) -> dict[str, Any]:

@@ -270,9 +270,8 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
         return {"preset": None, "reason": _advice(error.reason, arguments)}
     reason = guess.reason + _borrowed(info, arguments, guess.channels)
     found = {"preset": guess.preset.name, "channels": guess.channels, "reason": reason}
-    missing = _missing_option(guess.preset, arguments)
-    if missing:
-        return found | {"speeds": None, "needs": missing}
+    if why := _not_measured(info, guess, arguments):
+        return found | {"speeds": None, "not_measured": why}
     speeds = exr.measure_speeds(
         info.path,
         guess,
@@ -285,12 +284,15 @@ def _motion(info: Any, arguments: argparse.Namespace) -> dict[str, Any]:
     return found | {"shutter": arguments.shutter, "speeds": dataclasses.asdict(speeds)}
 
 
-def _missing_option(preset: Any, arguments: argparse.Namespace) -> str | None:
-    if preset.span == "shutter" and arguments.file_shutter is None:
-        return "--file-shutter"
-    if preset.scale == "max-displace" and arguments.max_displace is None:
-        return "--max-displace"
-    return None
+def _not_measured(info: Any, guess: Any, arguments: argparse.Namespace) -> str:
+    """Why speeds cannot be measured, empty if they can."""
+    if info.parts[info.channel(guess.channels[0]).part].deep:
+        return "deep pixels; `jaxblur layers` blurs them"
+    if guess.preset.span == "shutter" and arguments.file_shutter is None:
+        return "this preset needs --file-shutter"
+    if guess.preset.scale == "max-displace" and arguments.max_displace is None:
+        return "this preset needs --max-displace"
+    return ""
 
 
 def _as_json(part: Any) -> dict[str, Any]:
@@ -359,7 +361,7 @@ def _print_motion(motion: dict[str, Any]) -> None:
     print_line(f"motion vectors: {motion['reason']}")
     speeds = motion["speeds"]
     if speeds is None:
-        print_line(f"speeds not measured: this preset needs {motion['needs']}")
+        print_line(f"speeds not measured: {motion['not_measured']}")
         return
     print_line(f"half-spread in pixels at shutter {motion['shutter']:g}:")
     percentiles = speeds["percentiles"]

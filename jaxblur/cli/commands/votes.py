@@ -50,11 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
         LOG.warning(
             "%s: %d votes are not counted, for they are of rounds that lack pairs.", observer, count
         )
-    if arguments.group is not None:
+    if arguments.group is not None and len(votes.counts):
         votes = votes.of_group(arguments.group)
     if len(votes.counts) < 3:
         raise CommandError(
-            f"{len(votes.counts)} complete rounds of all pairs; the analysis needs three or more."
+            f"{', '.join(map(str, arguments.input))}: {len(votes.counts)} complete rounds of all "
+            "pairs; the analysis needs three or more."
         )
     found = perception.analyze(votes, arguments.alpha)
     if arguments.json:

@@ -23,8 +23,9 @@ from ..._util.cache import (
     BUILDING,
     UnsafeFolderError,
     checksum_file,
+    intact_bytes,
     is_intact,
-    own_bytes,
+    keep_bytes,
     private_folder,
     trim_cache,
 )
@@ -296,7 +297,9 @@ def find_known(key: str | None) -> Known | None:
         return None
     with _ONE_AT_A_TIME:
         try:
-            known = Known(*json.loads(own_bytes(record)))
+            if (words := intact_bytes(record)) is None:
+                return None
+            known = Known(*json.loads(words))
             library = record.with_name(f"{known.target}.so")
             if known.target not in _loaded:
                 if not is_intact(library):
@@ -317,9 +320,6 @@ def keep_known(key: str | None, known: Known) -> None:
     record = None if key is None else _record_of(key)
     if record is None:
         return
-    # What cannot be written is printed again in the next run. A file in place is whole.
-    with contextlib.suppress(OSError), tempfile.TemporaryDirectory(dir=record.parent) as folder:
-        part = pathlib.Path(folder, record.name)
-        part.write_text(json.dumps(known))
-        part.chmod(0o600)
-        os.replace(part, record)
+    # What cannot be written is printed again in the next run.
+    with contextlib.suppress(OSError):
+        keep_bytes(record, json.dumps(known).encode())
