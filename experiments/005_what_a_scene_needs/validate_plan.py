@@ -41,6 +41,8 @@ def full_plan(frame: jaxblur.Frame) -> jaxblur.Plan:
         reason="the measure of loss",
         loss=0.0,
         spread=0.0,
+        jod_loss=0.0,
+        jod_spread=0.0,
         milliseconds=record["milliseconds_per_megapixel"] * statistics.pixels / 1e6,
     )
 
