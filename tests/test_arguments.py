@@ -217,7 +217,10 @@ def test_a_filter_of_ones_own_is_checked_where_the_package_calls_it():
         ([(FRAME, None)], "`pairs[0][1]` must be the true image"),
         ([(FRAME, TRUTH[:3])], "pair 0: the truth must have shape (height, width, channels)"),
         ([(FRAME, TRUTH[..., 0])], "pair 0: the truth must have shape (height, width, channels)"),
-        ([(FRAME, TRUTH[..., :1])], "the frame has 3 color channels, the truth 1"),
+        (
+            [(FRAME, TRUTH[..., :1])],
+            "pair 0: the truth must have 3 color channels like the frame, got 1",
+        ),
     ],
 )
 def test_what_are_no_pairs(pairs, says):

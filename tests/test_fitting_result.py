@@ -99,11 +99,10 @@ def test_a_changed_file_is_refused_by_name_and_key(tmp_path, old, new, match):
 
 def test_only_a_file_is_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path, tmp_path / "pipe"):
-        with pytest.raises(ValueError, match=f"{path}: is not a file; give one that"):
+    reasons = {tmp_path: "is a folder", tmp_path / "pipe": "is not a file"}
+    for path, reason in (reasons | {tmp_path / "none.toml": "no such file"}).items():
+        with pytest.raises(JaxblurIOError, match=f"{path}: {reason}; give a file that"):
             FitResult.load(path)
-    with pytest.raises(FileNotFoundError):
-        FitResult.load(tmp_path / "none.toml")
 
 
 def test_whole_numbers_are_read_as_floats(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parents[1]
 TESTS = {
-    "tests/test_filters.py": "plain_loops and float64 or jit_and_vmap",
+    "tests/test_filters.py": "plain_loops and float64 and not guertin2014 or jit_and_vmap",
     "tests/test_native.py": "size0 or size4 or size8 or size12",
     "tests/test_filter_gradients.py": "kink or second_derivatives",
 }

@@ -28,6 +28,7 @@ PACKAGES = ("numpy", "OpenImageIO", "jax", "jaxlib")
 EXTRAS = {
     "compiler": ("ziglang",),
     "dask": ("cryptography", "distributed"),
+    "docs": ("mkdocs", "mkdocs-material", "mkdocstrings-python", "nbconvert"),
     "mesh": ("trimesh",),
     "notebook": ("matplotlib", "ipykernel", "ipywidgets", "jupytext", "nbclient"),
     "plot": ("matplotlib",),
