@@ -142,6 +142,7 @@ def test_choices_that_a_filter_does_not_have_are_refused(tmp_path, name):
     assert "tile_choice" not in tomllib.loads(attributes(out)["jaxblur:settings"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("quality", "samples"), [("preview", 15), slow("final", 105)])
 def test_a_quality_is_a_number_of_samples(tmp_path, quality, samples):
     channels = plain_frame((6, 8))

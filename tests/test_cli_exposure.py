@@ -52,6 +52,7 @@ SHUTTER = jaxblur.Shutter
 TRIANGLE = np.array([0, 1, 0], np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "exposure", "notes"),
     [

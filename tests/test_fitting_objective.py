@@ -107,6 +107,7 @@ def test_gradient_equals_finite_differences_and_reverse_mode():
         np.testing.assert_allclose(gradient, jax.grad(whole)(free), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_pairs_count_the_same_and_blocks_sum_to_the_loss():
     frames = random_frame(SHAPE, seed=0), random_frame(SHAPE, seed=1)
     free, fixed, key = to_free("guertin2014", TRUE, FREE), {"eta": 0.95}, jax.random.key(0)

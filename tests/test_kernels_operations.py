@@ -81,6 +81,7 @@ def test_operations_mean_the_same(name):
     np.testing.assert_allclose(ours, theirs, rtol=2e-6, atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [3, *map(slow, (2, 4, 5))])
 def test_derivatives_by_rows_of_a_table_equal_those_of_xla(channels):
     shape = (5, 19, channels)

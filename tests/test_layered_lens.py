@@ -93,6 +93,7 @@ def test_discs_before_and_behind_the_focus_are_alike():
     assert np.sqrt(np.mean(error**2)) < 0.015
 
 
+@pytest.mark.slow
 def test_what_is_in_focus_and_at_rest_stays_bit_for_bit():
     frame = with_a_part_in_focus(moving_frame())
     frame = frame.replace(velocity=jnp.zeros_like(frame.velocity))
