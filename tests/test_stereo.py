@@ -11,6 +11,7 @@ import pytest
 import jaxblur
 from jaxblur import exr
 from jaxblur.cli import views
+from jaxblur.exr import choose
 from jaxblur.noise import make_noise
 from tests.command_line import refused, run
 from tests.exr_files import make_spec, plain_frame, read_raw, write_parts, write_single
@@ -375,3 +376,18 @@ def test_views_that_share_a_cryptomatte_are_blurred_one_after_the_other():
     views.check_alike([left, right], ["left", "right"])
     with pytest.raises(exr.JaxblurIOError, match="left and right share Cryptomatte object; blur"):
         views.check_alike([left, left], ["left", "right"])
+
+
+def test_the_view_of_a_channel_is_looked_up_once_however_many_views_are_named(
+    tmp_path, monkeypatch
+):
+    path, frame = tmp_path / "many.exr", plain_frame(SHAPE)
+    spec, names = make_spec(frame), ("left", *(f"view{k}" for k in range(999)))
+    spec.attribute("multiView", oiio.TypeDesc("string[1000]"), names)
+    write_parts(path, [(spec, frame)])
+    looked_up, view_of = [], choose._view
+    monkeypatch.setattr(choose, "_view", lambda info, n: looked_up.append(n) or view_of(info, n))
+    info = exr.inspect(path)
+    assert exr.views_of(info) == names and exr.colored_views(info) == ("left",)
+    # Twice for a channel: to which view it belongs, and its name without that.
+    assert len(looked_up) <= 2 * len(info.channel_names)

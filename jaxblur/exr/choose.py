@@ -67,13 +67,11 @@ def colored_views(info: FileInfo) -> tuple[str, ...]:
         Names as `views_of` gives them. A view that was not kept when the file was written is named
         in it, but has no channels.
     """
-    return tuple(
-        view
-        for view in views_of(info)
-        if _color_groups(
-            {_without_view(info, n): n for n in info.channel_names if _view(info, n) == view}
-        )
-    )
+    views = views_of(info)
+    of_view: dict[str, dict[str, str]] = {}
+    for name in info.channel_names if views else ():
+        of_view.setdefault(_view(info, name), {})[_without_view(info, name)] = name
+    return tuple(view for view in views if _color_groups(of_view.get(view, {})))
 
 
 def _view_of_part(part: Part) -> str:
