@@ -429,3 +429,9 @@ def test_an_input_that_changes_between_two_outputs_is_not_used_any_more(tmp_path
     np.testing.assert_allclose(
         exr.read_image(tmp_path / "out.png"), np.clip(written, 0, 1), atol=5e-3
     )
+
+
+def test_a_pattern_for_the_output_of_one_file_is_refused(tmp_path):
+    out = tmp_path / "out.####.exr"
+    assert "has a place for frame numbers, but" in refused("blur", CAR, "-o", out)
+    assert not out.exists()

@@ -37,8 +37,14 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         JaxblurIOError: a file cannot be read or written.
     """
     from jaxblur import exr
+    from jaxblur.sequence import has_frame_number
 
     arguments.in_sequence = False
+    if has_frame_number(arguments.output):
+        raise CommandError(
+            f"{arguments.output}: has a place for frame numbers, but {arguments.input} is one "
+            "file; give both a place, as in in.####.exr, or neither."
+        )
     if arguments.seed == "frame":
         arguments.seed = _number_in(arguments.input)
     outputs.check_output(arguments.output)

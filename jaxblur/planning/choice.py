@@ -237,6 +237,6 @@ def _refusal(
             "smaller frame, or pass `machine_speed`."
         )
     return (
-        f"`budget_ms` must be at least {least:.3g} to stay within {within}, got {budget_ms:g}; "
-        "allow a larger tolerance, or give the budget alone."
+        f"`budget_ms` must be at least {least:.3g} ms to stay within {within}, got {budget_ms:g}; "
+        "allow a larger tolerance, or plan by the budget alone (on the command line --plan auto)."
     )

@@ -16,8 +16,9 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
     existing.add_argument(
         "--skip-existing",
         action="store_true",
-        help="keep frames that were made in the same way (the default without --overwrite); "
-        "any other file in the place of an output is an error",
+        help="keep frames that were made in the same way, and make those again whose inputs have "
+        "changed (the default without --overwrite); any other file in the place of an output is "
+        "an error",
     )
     group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
     group.add_argument(
