@@ -243,7 +243,7 @@ def check_alike(views: Sequence[Loaded], names: Sequence[str]) -> None:
         names: of the views.
 
     Raises:
-        JaxblurIOError: they have other sizes, or share a Cryptomatte.
+        JaxblurIOError: they have different sizes, or share a Cryptomatte.
     """
     from jaxblur import exr
 
@@ -302,7 +302,7 @@ def merged(views: Sequence[tuple[Loaded, Any]]) -> tuple[Loaded, Any]:
 
 
 def notes(views: Sequence[argparse.Namespace]) -> Mapping[str, Any]:
-    """What `jaxblur:settings` says of the views; nothing of one that was not asked for by name."""
+    """What `jaxblur:settings` says of the views; empty for a single view."""
     names = [each.layer for each in views]
     if len(names) < 2:
         return {}

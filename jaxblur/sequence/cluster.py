@@ -148,6 +148,7 @@ def _messages() -> Iterator[list[tuple[int, str]]]:
 
     collector = Collector()
     LOG.addHandler(collector)
+    # It stays: the threads of a worker share the logger.
     LOG.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():

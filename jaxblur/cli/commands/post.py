@@ -125,7 +125,7 @@ def _run_one(
     if len({image.shape[:2] for image in images}) > 1:
         names = " and ".join(eye.layer for eye in eyes)
         raise CommandError(
-            f"{source}: views {names} have other sizes; do one after the other, with --layer."
+            f"{source}: views {names} have different sizes; do one after the other, with --layer."
         )
     for part in exr.inspect(source).parts:
         if again := posts.earlier(part.attributes, arguments.posts):
