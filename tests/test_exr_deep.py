@@ -6,6 +6,7 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
+from jaxblur.exr import deep
 from tests.command_line import run
 
 SIZE = (48, 72)
@@ -13,11 +14,12 @@ CHANNELS = ("R", "G", "B", "A", "Z", "velocity.X", "velocity.Y")
 SETTINGS = jaxblur.Settings(samples=66, radius=24, fetch="bilinear", noise="none")
 
 
-def write_deep(path, samples, size=SIZE, names=CHANNELS, in_order=False):
+def write_deep(path, samples, size=SIZE, names=CHANNELS, in_order=False, tile=0):
     """Write deep samples: for each, the mask (H, W) of where it is, and (H, W, channels)."""
     spec = oiio.ImageSpec(size[1], size[0], len(names), "float")
     spec.channelnames = names
     spec.deep = True
+    spec.tile_width = spec.tile_height = tile
     data = oiio.DeepData()
     data.init(size[0] * size[1], len(names), oiio.TypeDesc("float"), names)
     counts = np.sum([mask for mask, _ in samples], axis=0).reshape(-1)
@@ -155,6 +157,27 @@ def test_one_depth_is_one_layer(tmp_path):
     assert len(exr.read_deep_layers(path, 4)) == 1
 
 
+def test_tiles_hold_the_same_layers_as_lines(tmp_path, discs):
+    tiled = write_deep(tmp_path / "tiled.exr", [disc(*DISCS[1]), disc(*DISCS[0])], tile=32)
+    for found, expected in zip(
+        exr.read_deep_layers(tiled, 2), exr.read_deep_layers(discs, 2), strict=True
+    ):
+        np.testing.assert_array_equal(found.color, expected.color)
+        np.testing.assert_array_equal(found.velocity, expected.velocity)
+
+
+def test_a_bad_sample_ends_the_reading(tmp_path, monkeypatch):
+    """A small file can hold millions of samples, which take memory before they are refused."""
+    mask, image = disc(*DISCS[0])
+    image[24, 28, 4] = -1
+    path = write_deep(tmp_path / "negative.exr", [(mask, image)])
+    read, rows_of = [], deep._read_rows
+    monkeypatch.setattr(deep, "_read_rows", lambda *of: read.append(of[-1][-1]) or rows_of(*of))
+    with pytest.raises(exr.JaxblurIOError, match="negative"):
+        exr.read_deep_layers(path, 2)
+    assert 24 < read[-1] <= 24 + deep.BAND
+
+
 def test_refusals(tmp_path, discs):
     mask, image = disc(*DISCS[0])
     no_alpha = write_deep(
@@ -164,7 +187,7 @@ def test_refusals(tmp_path, discs):
         exr.read_deep_layers(no_alpha, 2)
     image[20, 28, 0] = np.nan
     broken = write_deep(tmp_path / "nan.exr", [(mask, image)])
-    with pytest.raises(exr.JaxblurIOError, match=r"R: 1 deep samples are NaN .* row 20, column 28"):
+    with pytest.raises(exr.JaxblurIOError, match=r"R: deep samples are NaN .* row 20, column 28"):
         exr.read_deep_layers(broken, 2)
     with pytest.raises(exr.JaxblurIOError, match="deep samples need depth"):
         exr.read_deep_layers(discs, 2, depth="flat")

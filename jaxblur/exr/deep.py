@@ -14,7 +14,9 @@ kept, and shows when the motion uncovers it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, Unpack
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 BINS = 1024
 """Log depths at which a picture can be cut."""
+BAND = 4
+"""Rows that are read at once, where there are no tiles."""
 AT_REST = 0.1
 """Pixels added to how far apart two samples move, so that things at rest are divided too."""
 DEEP_OPTIONS = ("depth", "file_shutter", "max_displace", "layer", "color_channels")
@@ -88,7 +92,7 @@ def read_deep_layers(
     The layers, composited, are the flat image. The depth, velocity and path of a pixel of a layer
     are means over its samples, weighted by what each contributes. Where a layer has none, alpha and
     velocity are 0, and depth is infinite. Where samples overlap in depth (from Z to ZBack), they
-    are ordered by Z and not split.
+    are ordered by Z and not split. A sample takes about 60 bytes of memory.
 
     Args:
         path: deep EXR with color, alpha, depth and vectors in one part; color is premultiplied, as
@@ -124,75 +128,97 @@ def read_deep_layers(
     kind = depth_kind_of(kind, guess, channel, path)
 
     names = (*group.channels, channel, *guess.channels)
-    pixel, values = _read_samples(info, names, channel)
-    color, raw = values[:, : len(group.channels)], values[:, len(group.channels) + 1 :]
-    alpha = np.clip(color[:, group.channels.index(group.alpha)], 0, 1)
-    _, _, width, height = info.parts[info.channel(names[0]).part].data_window
     scale = {name: options.get(name) for name in ("max_displace", "file_shutter")}
-    # What converts frames takes the samples for a frame of one column.
-    still = np.zeros((len(pixel), 1), bool)
-    velocity, curve = half_spread(info, guess, raw[:, None], still, alpha[:, None], shutter, scale)
-    check_speed(velocity, info.path, guess)
-    distance = to_distance(values[:, len(group.channels), None], kind, info.path, channel)
-    samples = Samples(
-        *(pixel, color, alpha, distance[:, 0], velocity[:, 0]),
-        None if curve is None else curve[:, 0],
-    )
-    samples = samples.take(np.lexsort((samples.depth, pixel)))
-    position = np.searchsorted(cuts_of(samples, layers), samples.depth, side="right")
-    flat = (
-        _flattened(samples.take(position == number), (height, width))
-        for number in range(position.max(initial=0) + 1)
-    )
-    return tuple(
-        Buffers(*buffers, group.channels, channel, kind, guess)
-        for number, buffers in enumerate(flat)
-        if number == 0 or (position == number).any()
-    )
+
+    def converted(pixel: np.ndarray, values: np.ndarray) -> Samples:
+        color, raw = values[:, : len(group.channels)], values[:, len(group.channels) + 1 :]
+        alpha = np.clip(color[:, group.channels.index(group.alpha)], 0, 1)
+        # What converts frames takes the samples for a frame of one column.
+        still = np.zeros((len(pixel), 1), bool)
+        velocity, curve = half_spread(
+            info, guess, raw[:, None], still, alpha[:, None], shutter, scale
+        )
+        check_speed(velocity, info.path, guess)
+        distance = to_distance(values[:, len(group.channels), None], kind, info.path, channel)
+        samples = Samples(
+            *(pixel, color, alpha, distance[:, 0], velocity[:, 0]),
+            None if curve is None else curve[:, 0],
+        )
+        return samples.take(np.lexsort((samples.depth, pixel)))
+
+    bands, sizes = [], []
+    for size, pixel, values in _read_bands(info, names, channel):
+        sizes.append(size)
+        bands.append(converted(pixel, values))
+    cuts = cuts_of(bands, layers)
+
+    def layer_of(band: Samples) -> np.ndarray:
+        return np.searchsorted(cuts, band.depth, side="right")
+
+    filled = {0}.union(*(np.unique(layer_of(band)).tolist() for band in bands))
+    found = []
+    for number in sorted(filled):
+        flat = [
+            _flattened(band.take(layer_of(band) == number), size)
+            for band, size in zip(bands, sizes, strict=True)
+        ]
+        buffers = [np.concatenate(values) for values in zip(*flat, strict=True)]
+        color, distance, velocity = buffers[:3]
+        curve = buffers[3] if len(buffers) > 3 else None
+        found.append(
+            Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
+        )
+    return tuple(found)
 
 
-def cuts_of(samples: Samples, layers: int) -> Float[np.ndarray, " cuts"]:
+def cuts_of(bands: Sequence[Samples], layers: int) -> Float[np.ndarray, " cuts"]:
     """The depths at which samples are divided into layers.
 
     Args:
-        samples: of a picture.
+        bands: the samples of a picture, by bands of rows.
         layers: largest number of layers.
 
     Returns:
         (layers - 1,) or fewer, ascending.
     """
-    finite = samples.depth[np.isfinite(samples.depth)]
-    if layers < 2 or not len(finite):
+    finite = [np.isfinite(band.depth) for band in bands]
+    known = [depth for band, of in zip(bands, finite, strict=True) if len(depth := band.depth[of])]
+    if layers < 2 or not known:
         return np.zeros(0)
-    logs = np.log(np.minimum(samples.depth.astype(np.float64), finite.max() * 2.0))
-    edges = np.linspace(logs.min(), logs.max(), BINS + 1)[1:]
-    follows = samples.pixel[1:] == samples.pixel[:-1]
-    moved = np.linalg.norm(np.diff(samples.velocity, axis=0), axis=-1) + AT_REST
-    weight = np.where(follows, samples.alpha[1:] * samples.alpha[:-1] * moved, 0)
-    # A cut at an edge is between the samples of a pair from the first to the last of these.
-    bins = np.searchsorted(edges, logs, side="right")
-    first, end = bins[:-1], bins[1:]
+    near, far = float(min(map(np.min, known))), float(max(map(np.max, known)))
+    if not all(map(np.all, finite)):
+        far *= 2
+    edges = np.linspace(np.log(near), np.log(far), BINS + 1)[1:]
+    # Pairs by the bins of both. A cut at an edge is in pairs from a bin before it to one behind it.
+    weight = np.zeros((BINS + 1, BINS + 1))
+    for band in bands:
+        logs = np.log(np.minimum(band.depth.astype(np.float64), far))
+        follows = band.pixel[1:] == band.pixel[:-1]
+        moved = np.linalg.norm(np.diff(band.velocity, axis=0), axis=-1) + AT_REST
+        pair = np.where(follows, band.alpha[1:] * band.alpha[:-1] * moved, 0)
+        bins = np.searchsorted(edges, logs, side="right")
+        np.add.at(weight, (bins[:-1], bins[1:]), pair)
+    weight = np.triu(weight, 1)
+    total = weight.sum()
     found: list[int] = []
     for _ in range(layers - 1):
-        together = np.where(end > first, weight, 0)
-        score = np.cumsum(
-            np.bincount(first, together, BINS + 1) - np.bincount(end, together, BINS + 1)
-        )[:BINS]
-        if not score.max() > 1e-9 * max(weight.sum(), 1e-30):
+        score = np.cumsum(weight.sum(axis=1) - weight.sum(axis=0))[:BINS]
+        if not score.max() > 1e-9 * max(total, 1e-30):
             break
         best = np.flatnonzero(score >= score.max() * (1 - 1e-9))
         # The middle of the first run of them: a gap between things.
         run = best[: np.argmax(np.append(np.diff(best) != 1, True)) + 1]
         cut = int(run[len(run) // 2])
         found.append(cut)
-        weight = np.where((first <= cut) & (cut < end), 0, weight)
+        weight[: cut + 1, cut + 1 :] = 0
     return np.exp(edges[sorted(found)])
 
 
-def _flattened(
-    samples: Samples, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-    """Color, depth, velocity and path of samples, composited; they are ordered by pixel."""
+def _flattened(samples: Samples, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Color, depth, velocity and, if known, path of samples, composited, of a band of rows.
+
+    The samples are ordered by pixel and depth.
+    """
     count = size[0] * size[1]
     color = np.zeros((count, samples.color.shape[1]))
     through, total, depth = np.ones(count), np.zeros(count), np.zeros(count)
@@ -214,17 +240,20 @@ def _flattened(
     with np.errstate(divide="ignore"):
         distance = np.where(depth > 0, weight / depth, np.inf)
     means = [mean / weight.reshape(-1, *(1,) * (mean.ndim - 1)) for mean in means]
-    color, distance, velocity, *path = (
+    return tuple(
         values.reshape(*size, *values.shape[1:]).astype(np.float32)
         for values in (color, distance, *means)
     )
-    return color, distance, velocity, path[0] if path else None
 
 
-def _read_samples(
+def _read_bands(
     info: FileInfo, names: tuple[str, ...], depth: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Read channels of a deep part: numbers of pixels (N,) and values (N, channels)."""
+) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
+    """Read channels of a deep part by bands of rows, from the top, so that a bad one ends it.
+
+    Yields:
+        (rows, W) of the band, numbers of pixels in it (N,), and values (N, channels) float32.
+    """
     channels = [info.channel(name) for name in names]
     parts = {channel.part for channel in channels}
     if len(parts) != 1:
@@ -234,34 +263,52 @@ def _read_samples(
     (part,) = parts
     if not info.parts[part].deep:
         raise JaxblurIOError(info.path, f"{', '.join(names)}: not deep; read it as a frame.")
+    left, top, width, height = info.parts[part].data_window
     with open_input(info.path) as source:
-        try:
-            data = source.read_native_deep_image(part, 0)
-        except (RuntimeError, ValueError, MemoryError) as error:
-            raise JaxblurIOError(info.path, f"deep pixels cannot be read: {error}") from error
-        if data is None:
-            raise JaxblurIOError(
-                info.path,
-                "deep pixels: truncated or damaged, copy or render it again "
-                f"({pending_message(source)}).",
+        source.seek_subimage(part, 0)
+        step = source.spec().tile_height or BAND
+        for first in range(top, top + height, step):
+            last = min(first + step, top + height)
+            data = _read_rows(source, info, part, (left, left + width, first, last))
+            counts = np.fromiter(map(data.samples, range(data.pixels)), np.int64, data.pixels)
+            pixel = np.repeat(np.arange(data.pixels, dtype=np.int32), counts)
+            sample = np.arange(len(pixel)) - np.repeat(np.cumsum(counts) - counts, counts)
+            values = np.empty((len(pixel), len(names)), np.float32)
+            for position, channel in enumerate(channels):
+                at = itertools.repeat(channel.index)
+                read = map(data.deep_value, pixel.data, at, sample.data)
+                values[:, position] = np.fromiter(read, np.float32, len(pixel))
+            for position, name in enumerate(names):
+                bad = ~np.isfinite(values[:, position])
+                if name == depth:
+                    bad &= ~np.isposinf(values[:, position])
+                if bad.any():
+                    row, column = divmod(int(pixel[np.argmax(bad)]), width)
+                    raise JaxblurIOError(
+                        info.path,
+                        f"{name}: deep samples are NaN or infinite (first at row "
+                        f"{first - top + row}, column {column}); repair it.",
+                    )
+            yield (last - first, width), pixel, values
+
+
+def _read_rows(source: Any, info: FileInfo, part: int, box: tuple[int, int, int, int]) -> Any:
+    """The ``DeepData`` of some rows of a part."""
+    left, right, first, last = box
+    channels = len(info.parts[part].channels)
+    try:
+        if source.spec().tile_width:
+            data = source.read_native_deep_tiles(
+                part, 0, left, right, first, last, 0, 1, 0, channels
             )
-    counts, value = [data.samples(p) for p in range(data.pixels)], data.deep_value
-    pixel = np.repeat(np.arange(data.pixels), counts)
-    values = np.empty((len(pixel), len(names)), np.float32)
-    for position, channel in enumerate(channels):
-        at = channel.index
-        read = (value(p, at, s) for p, count in enumerate(counts) for s in range(count))
-        values[:, position] = np.fromiter(read, np.float32, len(pixel))
-    width = info.parts[part].data_window[2]
-    for position, name in enumerate(names):
-        bad = ~np.isfinite(values[:, position])
-        if name == depth:
-            bad &= ~np.isposinf(values[:, position])
-        if bad.any():
-            row, column = divmod(int(pixel[np.argmax(bad)]), width)
-            raise JaxblurIOError(
-                info.path,
-                f"{name}: {int(bad.sum())} deep samples are NaN or infinite (first at row {row}, "
-                f"column {column}); repair it.",
-            )
-    return pixel, values
+        else:
+            data = source.read_native_deep_scanlines(part, 0, first, last, 0, 0, channels)
+    except (RuntimeError, ValueError, MemoryError) as error:
+        raise JaxblurIOError(info.path, f"deep pixels cannot be read: {error}") from error
+    if data is None:
+        raise JaxblurIOError(
+            info.path,
+            "deep pixels: truncated or damaged, copy or render it again "
+            f"({pending_message(source)}).",
+        )
+    return data
