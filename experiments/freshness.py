@@ -2,10 +2,12 @@
 
     python -m experiments.freshness                     # bring the lines of all pages up to date
     python -m experiments.freshness --made 016_order    # its figures have just been made
+    python -m experiments.freshness --same kernels --as TREE    # gives the bits of that checkout
 
 ``made.json`` holds, for each experiment, when its figures were made (the oldest, where they are of
 several times), and digests of the code that made them. A digest leaves out comments, docstrings and
-blanks.
+blanks. A part that was rewritten and gives the same bits, as `010_fast_paths.guard` shows, does not
+make figures older: ``same_bits.json`` holds, for such parts, the digests that count as one.
 """
 
 import argparse
@@ -23,6 +25,7 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 RECORD = FOLDER / "made.json"
+SAME_BITS = FOLDER / "same_bits.json"
 PACKAGE = FOLDER.parent / "jaxblur"
 
 PARTS = {
@@ -51,7 +54,20 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Record an experiment, or not, and write the line of every page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--made", nargs="+", default=[], metavar="NAME", choices=names())
-    made = parser.parse_args(argv).made
+    parser.add_argument("--same", metavar="PART", choices=PARTS, help="see --as")
+    parser.add_argument(
+        "--as",
+        dest="former",
+        type=Path,
+        metavar="TREE",
+        help="the part --same gives every bit that it gave in this checkout",
+    )
+    options = parser.parse_args(argv)
+    if (options.same is None) != (options.former is None):
+        parser.error("--same and --as belong together")
+    if options.same is not None:
+        record_same(options.same, options.former)
+    made = options.made
     record = read_record()
     today = f"{datetime.date.today():%-d %B %Y}"
     record |= {name: {"date": today, "code": digests(name)} for name in made}
@@ -61,6 +77,23 @@ def main(argv: Sequence[str] | None = None) -> None:
         text = page.read_text(encoding="utf-8")
         page.write_text(with_line(text, line_of(name, entry)), encoding="utf-8")
         print(f"{name}: {line_of(name, entry).strip('*')}")
+
+
+def record_same(part: str, former: Path) -> None:
+    """Record that a part gives the bits that it gave in another checkout."""
+    pattern, _ = PARTS[part]
+    pair = {digest(tree, pattern) for tree in (former / "jaxblur", PACKAGE)}
+    sets = read_same_bits()
+    of_part = sets.get(part, [])
+    joined = pair.union(*(known for known in of_part if pair & set(known)))
+    apart = [known for known in of_part if not pair & set(known)]
+    sets[part] = [*apart, sorted(joined)]
+    SAME_BITS.write_text(json.dumps(sets, indent=1) + "\n", encoding="utf-8")
+
+
+def read_same_bits() -> dict[str, list[list[str]]]:
+    """For each part, sets of digests of code that gives the same bits."""
+    return json.loads(SAME_BITS.read_text(encoding="utf-8"))
 
 
 def names() -> list[str]:
@@ -136,10 +169,19 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
     Returns:
         One line of Markdown.
     """
-    now = digests(name)
-    changed = [part for part in now if entry["code"].get(part) != now[part]]
+    now, then, same = digests(name), entry["code"], read_same_bits()
+    differs = [part for part in now if then.get(part) != now[part]]
+    rewritten = [
+        part
+        for part in differs
+        if any({then.get(part), now[part]} <= set(known) for known in same.get(part, []))
+    ]
+    changed = [part for part in differs if part not in rewritten]
     if not changed:
-        return f"*Figures of {entry['date']}, made by the code as it is.*"
+        but = f", but for changes of {' and '.join(rewritten)} that keep every bit" * bool(
+            rewritten
+        )
+        return f"*Figures of {entry['date']}, made by the code as it is{but}.*"
     return f"*Figures of {entry['date']}. Code that has changed since: {', '.join(changed)}.*"
 
 

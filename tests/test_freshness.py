@@ -43,7 +43,9 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     monkeypatch.setattr(freshness, "PACKAGE", tmp_path)
     monkeypatch.setattr(freshness, "FOLDER", tmp_path / "experiments")
     monkeypatch.setattr(freshness, "RECORD", tmp_path / "made.json")
+    monkeypatch.setattr(freshness, "SAME_BITS", tmp_path / "same_bits.json")
     freshness.RECORD.write_text("{}")
+    freshness.SAME_BITS.write_text("{}")
     freshness.main(["--made", "030_new"])
     assert page.read_text().splitlines()[2].endswith(", made by the code as it is.*")
     code.write_text(CODE.replace("twice", "two times"))
@@ -53,3 +55,17 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     freshness.main([])
     assert page.read_text().splitlines()[2].endswith(" Code that has changed since: scenes.*")
     assert page.read_text().endswith("\n\nText.\n")
+
+    # The same bits as in a checkout that has the former code.
+    former = tmp_path / "former" / "jaxblur" / "scenes" / "mesh.py"
+    former.parent.mkdir(parents=True)
+    former.write_text(CODE)
+    freshness.main(["--same", "scenes", "--as", str(tmp_path / "former")])
+    line = page.read_text().splitlines()[2]
+    assert line.endswith("the code as it is, but for changes of scenes that keep every bit.*")
+    code.write_text(CODE.replace("2 *", "4 *"))
+    freshness.main(["--same", "scenes", "--as", str(tmp_path / "former")])
+    assert page.read_text().splitlines()[2] == line
+    code.write_text(CODE.replace("2 *", "5 *"))
+    freshness.main([])
+    assert page.read_text().splitlines()[2].endswith(" Code that has changed since: scenes.*")
