@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 
 import jaxblur
 from jaxblur import exr, scenes
@@ -49,13 +50,15 @@ class Row:
     note: str = ""
 
 
-def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
+def make_frames(folder: Path, count: int, size: tuple[int, int], parts: bool = False) -> Path:
     """Write frames of a catalogue scene with depth and vectors to both neighboring frames.
 
     Args:
         folder: output folder.
         count: number of frames.
         size: (height, width) in pixels.
+        parts: write each pass as a part of its own, with normals and object colors, instead of one
+            part with color, depth and vectors.
 
     Returns:
         Pattern of the file names.
@@ -66,9 +69,45 @@ def make_frames(folder: Path, count: int, size: tuple[int, int]) -> Path:
         if frame <= DISTINCT:
             sharp = scenes.render(scene, frame, SHUTTER, size, path=True)
             exr.write_frame(path, sharp, SHUTTER)
+            if parts:
+                divide_into_parts(path)
         else:
             path.write_bytes((folder / f"in.{1 + frame % DISTINCT:04d}.exr").read_bytes())
     return folder / "in.####.exr"
+
+
+def divide_into_parts(path: Path) -> None:
+    """Write a frame again as renderers do, each pass in a part, with further passes."""
+    names = [channel.name for channel in exr.inspect(path).channels]
+    planes = dict(zip(names, np.moveaxis(exr.read_channels(path, names), -1, 0), strict=True))
+    down, right = np.gradient(np.minimum(planes["Z"], 1e3))
+    further = {
+        "Normal": dict(zip("XYZ", (right, down, np.ones_like(down)), strict=True)),
+        "Albedo": {name: np.sqrt(planes[name]) for name in "RGB"},
+    }
+    passes = {
+        "Combined": {name: planes[name] for name in "RGB"},
+        "Depth": {"Z": planes["Z"]},
+        "Vector": {name: values for name, values in planes.items() if "velocity" in name},
+        **{name: {f"{name}.{c}": v for c, v in of.items()} for name, of in further.items()},
+    }
+    height, width = planes["Z"].shape
+    specs = []
+    for name, channels in passes.items():
+        kind = "half" if name in ("Combined", "Albedo") else "float"
+        spec = oiio.ImageSpec(width, height, len(channels), kind)
+        spec.channelnames = tuple(channels)
+        spec.attribute("compression", "zip")
+        spec.attribute("oiio:subimagename", name)
+        specs.append(spec)
+    output = oiio.ImageOutput.create(str(path))
+    assert output is not None and output.open(str(path), tuple(specs)), oiio.geterror()
+    for number, channels in enumerate(passes.values()):
+        if number:
+            assert output.open(str(path), specs[number], "AppendSubimage"), output.geterror()
+        pixels = np.stack(list(channels.values()), axis=-1).astype(np.float32)
+        assert output.write_image(pixels), output.geterror()
+    assert output.close(), output.geterror()
 
 
 def measure_stages(folder: Path, count: int) -> Iterator[Row]:
@@ -224,6 +263,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--size", type=int, nargs=2, default=(1080, 1920), metavar=("H", "W"))
+    parser.add_argument("--parts", action="store_true", help="each pass in a part of its own")
     parser.add_argument("--workers", type=int, nargs="*", default=(1, 2))
     parser.add_argument("-o", "--output", type=Path, default=HERE / "results.csv")
     arguments = parser.parse_args()
@@ -231,7 +271,7 @@ def main() -> None:
     count, rows = arguments.frames, []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        pattern, cache = make_frames(folder, count, size), folder / "cache"
+        pattern, cache = make_frames(folder, count, size, arguments.parts), folder / "cache"
         steps: list[Any] = [lambda: list(measure_stages(folder, count))]
         steps.append(lambda: [measure_filter(folder)])
         for label in ("first process, nothing compiled", "second process"):
