@@ -154,9 +154,7 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
         largest = asked.settings.radius
         given["radius"] = vectors.speed_statistics(buffers.velocity, largest).suggested_radius
         LOG.info("radius: %d px", given["radius"])
-        asked = asked._replace(
-            settings=dataclasses.replace(asked.settings, radius=given["radius"])
-        )
+        asked = asked._replace(settings=dataclasses.replace(asked.settings, radius=given["radius"]))
     frame = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
     if buffers.path is not None:
         frame["path"] = buffers.path

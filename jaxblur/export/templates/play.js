@@ -82,7 +82,7 @@ async function blur() {
   while (state.times.length < FIRST_TIMES && !state.again) state.times.push(await gpu.blur(values));
   state.times = state.times.slice(-TIMES);
   const median = state.times.toSorted((a, b) => a - b)[state.times.length >> 1];
-  const time = median < 0.1 ? "Less than 0.1" : median.toFixed(1);
+  const time = median < 0.1 ? "Less than 0.1" : median.toFixed(median < 100 ? 1 : 0);
   say("time", `${time} milliseconds a frame: the filter alone, by ${gpu.constructor.label}, median of the last ${state.times.length}.`);
   state.count += 1;
 }
@@ -100,7 +100,7 @@ async function update() {
     }
     say("problem", "");
   } catch (error) {
-    say("problem", `${state.filter.name} of ${state.variant.samples} samples does not run here: ${error.message}.`);
+    say("problem", `${state.filter.name} of ${state.variant.samples} samples does not run here. ${error.message}.`);
     say("time", "");
   } finally {
     state.running = false;
@@ -135,7 +135,7 @@ function toml() {
   const { filter, variant, values, shutter } = state;
   const line = ([name, value]) => `${name} = ${JSON.stringify(value)}`;
   return [
-    `# jaxblur blur FRAME -o OUT --parameters FILE_OF_THIS_TEXT --shutter ${rounded(data.shutter * shutter)}`,
+    `# jaxblur blur FRAME -o OUT --parameters FILE --shutter ${rounded(data.shutter * shutter)}`,
     "schema = 1",
     line(["filter", filter.name]),
     ...["", "[parameters]", ...Object.entries(values[filter.name]).map(line)],
@@ -153,7 +153,7 @@ function makeSlider({ name, meaning, unit = "", steps = STEPS }, textAt, change)
   title.textContent = name;
   about.textContent = unit ? `${meaning} (${unit})` : meaning;
   label.append(title, shown);
-  box.append(label, input, about);
+  box.append(label, about, input);
   const set = (position) => {
     input.value = position;
     shown.textContent = textAt(input.value / steps);
@@ -217,7 +217,7 @@ async function openGpu() {
       reasons.push(error.message);
     }
   }
-  throw new Error(`${reasons.join("; ")}. A recent Chrome, Edge, Safari or Firefox has one of them`);
+  throw new Error([...reasons, "A recent Chrome, Edge, Safari or Firefox has one of the two"].join(". "));
 }
 
 // The filter to begin with; those without a form here are disabled.
@@ -230,10 +230,10 @@ function firstFilter(filters, reasons) {
     element("filter").append(option);
   }
   const named = filters.map(({ name }) => name).join(", ");
-  if (!able.length) throw new Error(`${reasons.join("; ")}, and ${named} has no form for ${label}`);
+  if (!able.length) throw new Error([...reasons, `${named}: no form for ${label}`].join(". "));
   const first = able.includes(filters[0]) ? filters[0] : (able.find(({ name }) => name === "guertin2014") ?? able[0]);
   if (first !== filters[0]) {
-    say("note", `Begins with ${first.name}: ${reasons.join("; ")}, and ${filters[0].name} has no form for ${label}, which runs instead.`);
+    say("note", `${reasons[0]}, so ${label} blurs. It cannot run ${filters[0].name}: the page begins with ${first.name}.`);
   }
   return first;
 }
@@ -269,6 +269,10 @@ function listen() {
 
 async function start() {
   Object.assign(element("canvas"), { width: data.width, height: data.height });
+  element("stage").classList.toggle("wide", data.width > data.height);
+  new ResizeObserver(([{ contentRect }]) => {
+    element("canvas").classList.toggle("pixels", contentRect.width * devicePixelRatio >= data.width);
+  }).observe(element("canvas"));
   state.programs = await (await unpacked(data.programs)).json();
   for (const [name, packed] of Object.entries(data.planes)) state.planes[name] = await plane(packed);
   for (const [value, label] of [["color", "input"], ["truth", "truth"]]) {
@@ -286,4 +290,4 @@ async function start() {
   await update();
 }
 
-start().catch((error) => say("problem", `The page cannot blur: ${error.message}.`));
+start().catch((error) => say("problem", `The page cannot blur. ${error.message}.`));

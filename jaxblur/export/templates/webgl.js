@@ -60,7 +60,7 @@ class Webgl {
   // channels: of color. canvas: what `show` draws to, of the size of the frame; null for none.
   static async open(width, height, channels, canvas = null) {
     const gl = (canvas ?? new OffscreenCanvas(1, 1)).getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
-    if (!gl) throw new Error("this browser has no WebGL 2");
+    if (!gl) throw new Error("This browser has no WebGL 2");
     if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("WebGL 2 cannot draw to float textures here");
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (Math.max(width, height) > most) throw new Error(`WebGL 2 has textures of ${most} pixels at most here`);
@@ -102,7 +102,7 @@ class Webgl {
   async use({ plan, passes }) {
     const { gl } = this;
     for (const { name, role } of plan.buffers) {
-      if (role === "input" && !this.images[name]) throw new Error(`the filter reads ${name}, which was not uploaded`);
+      if (role === "input" && !this.images[name]) throw new Error(`The filter reads ${name}, which was not uploaded`);
     }
     for (const { texture } of Object.values(this.work).flat()) gl.deleteTexture(texture);
     this.plan = plan;
@@ -235,7 +235,7 @@ class Webgl {
   _check() {
     const { gl } = this;
     const code = gl.getError();
-    if (code === gl.OUT_OF_MEMORY) throw new Error("the graphics processor has too little memory");
+    if (code === gl.OUT_OF_MEMORY) throw new Error("The graphics processor has too little memory");
     if (code) throw new Error(`WebGL reports error ${code}`);
   }
 }

@@ -61,9 +61,9 @@ class Webgpu {
 
   // channels: of color. canvas: what `show` draws to, of the size of the frame; null for none.
   static async open(width, height, channels, canvas = null) {
-    if (!navigator.gpu) throw new Error("this browser has no WebGPU");
+    if (!navigator.gpu) throw new Error("This browser has no WebGPU");
     const adapter = await navigator.gpu.requestAdapter();
-    if (!adapter) throw new Error("WebGPU finds no graphics processor");
+    if (!adapter) throw new Error("WebGPU finds no graphics processor here");
     const requiredLimits = {};
     for (const name of ["maxStorageBufferBindingSize", "maxBufferSize"]) requiredLimits[name] = adapter.limits[name];
     const requiredFeatures = adapter.features.has("timestamp-query") ? ["timestamp-query"] : [];
@@ -105,7 +105,7 @@ class Webgpu {
     const { device } = this;
     const module = device.createShaderModule({ code });
     const [problem] = (await module.getCompilationInfo()).messages.filter((message) => message.type === "error");
-    if (problem) throw new Error(`line ${problem.lineNum}: ${problem.message}`);
+    if (problem) throw new Error(`Line ${problem.lineNum}: ${problem.message}`);
     const buffers = Object.fromEntries(plan.buffers.map((buffer) => [buffer.name, buffer]));
     const visibility = GPUShaderStage.COMPUTE;
     const compiled = async (pass) => {
@@ -126,7 +126,7 @@ class Webgpu {
   async use({ plan, buffers, passes }) {
     const { device } = this;
     for (const { name, role } of plan.buffers) {
-      if (role === "input" && !this.images[name]) throw new Error(`the filter reads ${name}, which was not uploaded`);
+      if (role === "input" && !this.images[name]) throw new Error(`The filter reads ${name}, which was not uploaded`);
     }
     for (const old of Object.values(this.work)) old.destroy();
     this.plan = plan;
@@ -246,7 +246,7 @@ class Webgpu {
     for (const kind of ["validation", "out-of-memory"]) this.device.pushErrorScope(kind);
     const made = make();
     const [result, ...problems] = await Promise.all([made, this.device.popErrorScope(), this.device.popErrorScope()]);
-    for (const problem of problems) if (problem) throw new Error(problem.message || "the graphics processor has too little memory");
+    for (const problem of problems) if (problem) throw new Error(problem.message || "The graphics processor has too little memory");
     return result;
   }
 }
