@@ -157,7 +157,7 @@ def test_wgsl_equals_jax(name, fetch, page):
     settings = settings_of(name, fetch=fetch)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
     for frame in frames():
-        found = run_shaders(page, "onWebgpu", graph, print_wgsl(graph), planes_of(frame))
+        found = run_shaders(page, "Webgpu", graph, print_wgsl(graph), planes_of(frame))
         check(found, expected(name, frame, settings))
 
 
@@ -168,7 +168,7 @@ def test_glsl_equals_jax(name, fetch, page):
     settings = settings_of(name, fetch=fetch)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
     for frame in frames():
-        found = run_shaders(page, "onWebgl", graph, print_glsl(graph), planes_of(frame))
+        found = run_shaders(page, "Webgl", graph, print_glsl(graph), planes_of(frame))
         check(found, expected(name, frame, settings))
 
 
@@ -186,7 +186,7 @@ def test_hlsl_equals_jax(name):
 def test_a_shader_takes_parameters(page):
     graph = graph_of(filter_info("guertin2014"), channels=3)
     frame, code = frames()[0], print_wgsl(graph)
-    found = run_shaders(page, "onWebgpu", graph, code, planes_of(frame), {"kappa": 2.0, "tau": 0.0})
+    found = run_shaders(page, "Webgpu", graph, code, planes_of(frame), {"kappa": 2.0, "tau": 0.0})
     check(found, expected("guertin2014", frame, graph.settings, kappa=2.0, tau=0.0))
 
 

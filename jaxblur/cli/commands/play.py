@@ -239,21 +239,25 @@ def _add(forms: Any, entry: Entry, counts: Sequence[int], has_path: bool) -> Non
     from jaxblur.export import graph_of
 
     info, parameters, settings = entry
+    counts = [
+        samples
+        for samples in sorted({settings.samples, *counts})
+        if _takes(info, settings, samples)
+    ]
+    values = info.make_parameters(**parameters)
     graphs = []
-    for samples in sorted({settings.samples, *counts}):
+    # If there are none, the graph says why.
+    for samples in counts or [settings.samples]:
         changed = dataclasses.replace(settings, samples=samples)
-        if samples != settings.samples and not _runs(info, changed):
-            continue
-        values = info.make_parameters(**parameters)
         graphs.append(graph_of(info, values, changed, channels=3, has_path=has_path))
-    start = [graph.settings.samples for graph in graphs].index(settings.samples)
-    forms.add(graphs, start)
+    forms.add(graphs, counts.index(settings.samples) if settings.samples in counts else 0)
 
 
-def _runs(info: FilterInfo, settings: Settings) -> bool:
+def _takes(info: FilterInfo, settings: Settings, samples: int) -> bool:
     try:
+        changed = dataclasses.replace(settings, samples=samples)
         if info.check is not None:
-            info.check(settings)
+            info.check(changed)
     except ValueError:
         return False
     return True
