@@ -163,7 +163,7 @@ def test_wgsl_equals_jax(name, fetch, page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fetch", FETCHES)
-@pytest.mark.parametrize("name", FILTERS[:3])
+@pytest.mark.parametrize("name", FILTERS)
 def test_glsl_equals_jax(name, fetch, page):
     settings = settings_of(name, fetch=fetch)
     graph = graph_of(filter_info(name), settings=settings, channels=3)

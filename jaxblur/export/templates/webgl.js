@@ -7,6 +7,14 @@ const WEBGL_CORNERS = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }
 `;
 
+// Of the points of a pass that leaves marks.
+const WEBGL_POINTS = `#version 300 es
+precision highp int;
+flat in int kept;
+layout(location = 0) out ivec4 write_marks;
+void main() { write_marks = ivec4(kept, 0, 0, 0); }
+`;
+
 const WEBGL_DISPLAY = `#version 300 es
 precision highp float;
 precision highp int;
@@ -64,7 +72,7 @@ class Webgl {
     if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("WebGL 2 cannot draw to float textures here");
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (Math.max(width, height) > most) throw new Error(`WebGL 2 has textures of ${most} pixels at most here`);
-    const gpu = Object.assign(new Webgl(), { gl, width, height, channels, canvas: gl.canvas, images: {}, work: {}, passes: [] });
+    const gpu = Object.assign(new Webgl(), { gl, most, width, height, channels, canvas: gl.canvas, images: {}, work: {}, marks: {}, passes: [] });
     gpu.images.blurred = gpu._textures("blurred", width, height, channels);
     gpu.sums = gpu._textures("sums", WEBGL_SUMS_SIDE, WEBGL_SUMS_SIDE, 1);
     gpu.summing = gpu._program(WEBGL_ERRORS);
@@ -95,7 +103,11 @@ class Webgl {
 
   // plan: of the export; code: its GLSL by name of the pass. The result is for `use`.
   async compile(plan, code) {
-    return { plan, passes: plan.passes.map((pass) => ({ ...pass, program: this._program(code[pass.name]) })) };
+    const compiled = (pass) => {
+      const text = code[pass.name];
+      return { ...pass, program: pass.marks ? this._program(WEBGL_POINTS, text) : this._program(text) };
+    };
+    return { plan, passes: plan.passes.map(compiled) };
   }
 
   // Make a compiled filter the one that blurs. The textures between its passes replace those of the one before.
@@ -105,10 +117,17 @@ class Webgl {
       if (role === "input" && !this.images[name]) throw new Error(`The filter reads ${name}, which was not uploaded`);
     }
     for (const { texture } of Object.values(this.work).flat()) gl.deleteTexture(texture);
-    this.plan = plan;
-    this.work = {};
-    for (const { name, role, size, channels } of plan.buffers) {
-      if (role === "work") this.work[name] = this._textures(name, ...this._sized(size), channels);
+    for (const { depth, target } of Object.values(this.marks)) {
+      gl.deleteRenderbuffer(depth);
+      gl.deleteFramebuffer(target);
+    }
+    [this.plan, this.work, this.marks] = [plan, {}, {}];
+    for (const { name, role, type, size, channels, clear } of plan.buffers) {
+      if (role !== "work") continue;
+      const [columns, rows] = this._sized(size);
+      if (Math.max(columns, rows) > this.most) throw new Error(`The filter needs a texture of ${columns} x ${rows}, and WebGL 2 has ${this.most} at most here`);
+      this.work[name] = this._textures(name, columns, rows, channels, type);
+      if (clear) this.marks[name] = this._forMarks(name, columns, rows);
     }
     this.passes = passes;
     this._check();
@@ -118,14 +137,15 @@ class Webgl {
   async blur(parameters = {}) {
     const { gl } = this;
     const started = performance.now();
-    for (const { program, reads, writes, grid } of this.passes) {
+    for (const { program, reads, writes, grid, marks } of this.passes) {
       gl.useProgram(program);
       for (const { name, type, value } of this.plan.uniforms) {
         if (type === "int32") gl.uniform1i(gl.getUniformLocation(program, name), this[name]);
         else gl.uniform1f(gl.getUniformLocation(program, `parameter_${name}`), parameters[name] ?? value);
       }
       const of = (name) => this.work[name] ?? this.images[name];
-      this._draw(program, reads.flatMap(of), of(writes), ...this._sized(grid));
+      if (marks) this._drawMarks(program, reads.flatMap(of), writes, marks);
+      else this._draw(program, reads.flatMap(of), of(writes), ...this._sized(grid));
     }
     // Waits for the last pass.
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, new Float32Array(4));
@@ -165,28 +185,44 @@ class Webgl {
     return values;
   }
 
+  // Columns and rows. Shaders find the elements of a stack row by row in a texture of any width.
   _sized({ of, factor }) {
-    const { width, height } = this;
-    return of === "tiles" ? [Math.ceil(width / factor), Math.ceil(height / factor)] : [width, height * factor];
+    const { width, height, most } = this;
+    if (of === "tiles") return [Math.ceil(width / factor), Math.ceil(height / factor)];
+    const columns = factor === 1 ? width : Math.min(most, width * Math.ceil(Math.sqrt(factor)));
+    return [columns, Math.ceil((width * height * factor) / columns)];
   }
 
   // The textures of a buffer, four channels each, under the names that the shaders have for them.
-  _textures(name, columns, rows, channels) {
+  _textures(name, columns, rows, channels, type = "float32") {
     const { gl } = this;
     const count = Math.ceil(channels / 4);
+    const format = type === "float32" ? gl.RGBA32F : channels === 1 ? gl.R32I : gl.RGBA32I;
     return Array.from({ length: count }, (_, part) => {
       const texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, columns, rows);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, format, columns, rows);
       for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
       return { name: count === 1 ? name : `${name}_${part}`, texture };
     });
   }
 
-  _program(text) {
+  // What finds the largest marks: a texture of their high bits, and a depth buffer.
+  _forMarks(name, columns, rows) {
+    const { gl } = this;
+    const [high] = (this.work[`high bits of ${name}`] = this._textures("high_bits", columns, rows, 1, "int32"));
+    const depth = gl.createRenderbuffer(), target = gl.createFramebuffer();
+    gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, columns, rows);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, depth);
+    return { high, depth, target, columns, rows };
+  }
+
+  _program(fragments, corners = WEBGL_CORNERS) {
     const { gl } = this;
     const program = gl.createProgram();
-    for (const [type, source] of [[gl.VERTEX_SHADER, WEBGL_CORNERS], [gl.FRAGMENT_SHADER, text]]) {
+    for (const [type, source] of [[gl.VERTEX_SHADER, corners], [gl.FRAGMENT_SHADER, fragments]]) {
       const shader = gl.createShader(type);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -212,7 +248,7 @@ class Webgl {
     gl.drawBuffers(outputs.map((_, k) => gl.COLOR_ATTACHMENT0 + k));
   }
 
-  _draw(program, images, outputs, columns, rows) {
+  _bind(program, images) {
     const { gl } = this;
     gl.useProgram(program);
     images.forEach(({ name, texture }, unit) => {
@@ -220,9 +256,37 @@ class Webgl {
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.uniform1i(gl.getUniformLocation(program, name), unit);
     });
+  }
+
+  _draw(program, images, outputs, columns, rows) {
+    const { gl } = this;
+    this._bind(program, images);
     this._target(outputs);
     gl.viewport(0, 0, columns, rows);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  // The largest of the marks at each place. A depth buffer holds 16 bits exactly, marks have 31: the
+  // high bits compete first, then the low bits of the marks that have the largest.
+  _drawMarks(program, images, name, marks) {
+    const { gl } = this;
+    const [output] = this.work[name];
+    const { high, target, columns, rows } = this.marks[name];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, columns, rows);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.GEQUAL);
+    // In the first round `high_bits` is not looked at, but may not be what is drawn to.
+    for (const [round, drawn, read] of [[0, high, output], [1, output, high]]) {
+      this._bind(program, [...images, { ...read, name: "high_bits" }]);
+      gl.uniform1i(gl.getUniformLocation(program, "low_bits"), round);
+      gl.uniform2i(gl.getUniformLocation(program, "table_size"), columns, rows);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, drawn.texture, 0);
+      gl.clearBufferiv(gl.COLOR, 0, [0, 0, 0, 0]);
+      gl.clearBufferfv(gl.DEPTH, 0, [0]);
+      gl.drawArraysInstanced(gl.POINTS, 0, this.width * this.height, marks);
+    }
+    gl.disable(gl.DEPTH_TEST);
   }
 
   // The texels of the first texture that is drawn to.
