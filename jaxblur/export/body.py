@@ -2,6 +2,8 @@
 
 from typing import NamedTuple, Protocol
 
+from jax.extend import core
+
 from ..kernels.program import marks_primitive
 from .between import Number
 from .expressions import ATOM, PRODUCT, SUM, Dialect, NotExpressible, Value
@@ -231,12 +233,9 @@ def _others(
 def _write_marks(node: Node, host: Host, printer: Printer, step: str) -> None:
     jaxpr = node.run.traced.jaxpr
     (equation,) = (e for e in jaxpr.eqns if e.primitive is marks_primitive)
-    variables = [v for v in equation.invars if hasattr(v, "count") or v in _made(jaxpr)]
-    printer.write(jaxpr.eqns, [v for v in variables if v in _made(jaxpr)])
+    made = {v for e in jaxpr.eqns for v in e.outvars}
+    operands = [v for v in equation.invars if not isinstance(v, core.Literal)]
+    printer.write(jaxpr.eqns, [v for v in operands if v in made])
     if equation.params["count"]:
         raise NotExpressible(f"{host.dialect.name}: marks with a fixed number of steps.")
     printer.write_marks(equation, lambda place, mark: host.mark(node, place.code, mark.code), step)
-
-
-def _made(jaxpr) -> set:
-    return {v for e in jaxpr.eqns for v in e.outvars}

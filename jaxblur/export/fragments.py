@@ -1,7 +1,7 @@
 """Shaders in GLSL ES 3.00, for WebGL 2 and hosts that draw passes: one text a pass.
 
-A pass is a fragment shader, drawn over all texels of its output. A pass that leaves marks is a vertex
-shader: it draws a point for each mark, and depth tests keep the largest.
+A pass is a fragment shader, drawn over all texels of its output. A pass that leaves marks is a
+vertex shader: it draws a point for each mark, and depth tests keep the largest.
 """
 
 from typing import NamedTuple
@@ -110,7 +110,7 @@ void keep(int place, int mark) {
 
 
 def _points(graph: Graph, node: Node) -> str:
-    """The vertex shader of a pass that leaves marks: instance i of vertex k is mark i of pixel k."""
+    """A pass that leaves marks as a vertex shader: instance i of vertex k is mark i of pixel k."""
     if not node.run.apart:
         raise NotExpressible(
             f"glsl: the pass {node.name} leaves any number of marks; `apart` must say how many."
