@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxblur
+from jaxblur.export import graph_of, sources_of
 
 from .browser import SHADERS, WITHOUT_WEBGPU, chromium
 from .command_line import refused, run
@@ -114,10 +115,10 @@ def test_a_page_keeps_equal_texts_once(tmp_path):
     shared = set(first) & set(second)
     assert first != second and len(shared) > len(first) / 2
     texts = ["\n\n".join(programs["texts"][k] for k in parts) for parts in (first, second)]
-    graph = jaxblur.export.graph_of(
+    graph = graph_of(
         jaxblur.filter_info("pixel_velocity"), None, jaxblur.Settings(samples=9), channels=3
     )
-    (printed,) = jaxblur.export.sources_of(graph, "wgsl").values()
+    (printed,) = sources_of(graph, "wgsl").values()
     assert texts[0] == printed and texts[1] != printed
 
 
