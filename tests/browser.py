@@ -26,8 +26,14 @@ SHADERS = [
     "--enable-unsafe-swiftshader",
     "--enable-unsafe-webgpu",
     "--use-webgpu-adapter=swiftshader",
+    # The page must be put together by Vulkan too: a canvas that WebGPU draws to crashes without.
+    "--enable-features=Vulkan",
+    "--use-vulkan=swiftshader",
 ]
 """Arguments with which WebGPU and WebGL 2 run on a processor."""
+
+WITHOUT_WEBGPU = [argument for argument in SHADERS if "webgpu" not in argument]
+"""Arguments with which WebGL 2 alone does."""
 
 
 @contextlib.contextmanager

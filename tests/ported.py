@@ -62,7 +62,7 @@ def run_c(graph, text, folder, planes, parameters=None):
 
 
 PAGE = """<!doctype html><meta charset="utf-8">
-<script>{webgpu}</script><script>{webgl}</script><script>
+<script>{runners}</script><script>
 function floats(text) {{
   return new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 }}
@@ -77,13 +77,12 @@ function text(values) {{
 function decoded(inputs) {{
   return Object.fromEntries(Object.entries(inputs).map(([name, value]) => [name, floats(value)]));
 }}
-async function onWebgpu({{plan, code, width, height, inputs, parameters}}) {{
-  const filter = await Filter.make(await webgpuDevice(), plan, code, width, height);
-  for (const [name, values] of Object.entries(decoded(inputs))) filter.upload(name, values);
-  return text(await filter.run(parameters));
-}}
-function onWebgl({{plan, code, width, height, inputs, parameters}}) {{
-  return text(runWebgl(plan, code, width, height, decoded(inputs), parameters));
+async function onShaders({{kind, plan, code, width, height, inputs, parameters}}) {{
+  const gpu = await {{ Webgpu, Webgl }}[kind].open(width, height, plan.channels);
+  for (const [name, values] of Object.entries(decoded(inputs))) gpu.upload(name, values);
+  await gpu.use(await gpu.compile(plan, code));
+  await gpu.blur(parameters);
+  return text(await gpu.read());
 }}
 </script>"""
 
@@ -91,27 +90,27 @@ function onWebgl({{plan, code, width, height, inputs, parameters}}) {{
 @contextlib.contextmanager
 def shader_page(folder):
     """A page in Chromium on which printed shaders run."""
-    runner = importlib.resources.files("jaxblur.export") / "templates" / "webgpu.js"
-    webgl = pathlib.Path(__file__).with_name("webgl.js").read_text()
+    templates = importlib.resources.files("jaxblur.export") / "templates"
+    runners = "".join((templates / name).read_text() for name in ("webgpu.js", "webgl.js"))
     file = pathlib.Path(folder) / "shaders.html"
-    file.write_text(PAGE.format(webgpu=runner.read_text(), webgl=webgl))
+    file.write_text(PAGE.format(runners=runners))
     with chromium(SHADERS) as browser:
         page = browser.new_page()
         page.goto(file.as_uri())
         yield page
 
 
-def run_shaders(page, function, graph, code, planes, parameters=None):
-    """Run a filter that was printed as WGSL or GLSL on planes by name."""
+def run_shaders(page, kind, graph, code, planes, parameters=None):
+    """Run a filter that was printed as WGSL (`Webgpu`) or GLSL (`Webgl`) on planes by name."""
     height, width = planes["color"].shape[:2]
     inputs = {}
     for buffer in graph.inputs:
         # Shaders may not count on infinity.
         array = np.minimum(np.asarray(planes[buffer.name], np.float32), np.float32(1e18))
         inputs[buffer.name] = base64.b64encode(array.tobytes()).decode()
-    given = {"plan": plan_of(graph), "code": code, "width": width, "height": height}
+    given = {"kind": kind, "plan": plan_of(graph), "code": code, "width": width, "height": height}
     given |= {"inputs": inputs, "parameters": parameters or {}}
-    found = base64.b64decode(page.evaluate(function, given))
+    found = base64.b64decode(page.evaluate("onShaders", given))
     return np.frombuffer(found, np.float32).reshape(height, width, graph.channels)
 
 

@@ -133,8 +133,6 @@ def test_errors_say_what_to_do(exported, tmp_path):
     assert "--fetch must be nearest or bilinear" in refused(
         *c, tmp_path / "new", "--fetch", "blend"
     )
-    line = refused("export", "--language", "glsl", "-o", tmp_path / "new")
-    assert "draw_pixel" in line and "use wgsl, hlsl or c" in line
     assert not (tmp_path / "new").exists()
 
 

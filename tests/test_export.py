@@ -16,7 +16,15 @@ from jaxblur.export.fragments import print_glsl
 from jaxblur.export.noise import tap_noise, tile_noise
 from jaxblur.export.reference import SHARE, TOLERANCE, reference_planes
 from jaxblur.filters.registry import FilterInfo, filter_info
-from jaxblur.kernels import Image, Outcome, each_pixel, passes_as_equations, sum_over
+from jaxblur.kernels import (
+    Image,
+    Outcome,
+    each_pixel,
+    largest_marks,
+    mark_over,
+    passes_as_equations,
+    sum_over,
+)
 from jaxblur.noise import make_noise
 
 from .helpers import random_frame, registered
@@ -157,18 +165,18 @@ def test_wgsl_equals_jax(name, fetch, page):
     settings = settings_of(name, fetch=fetch)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
     for frame in frames():
-        found = run_shaders(page, "onWebgpu", graph, print_wgsl(graph), planes_of(frame))
+        found = run_shaders(page, "Webgpu", graph, print_wgsl(graph), planes_of(frame))
         check(found, expected(name, frame, settings))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fetch", FETCHES)
-@pytest.mark.parametrize("name", FILTERS[:3])
+@pytest.mark.parametrize("name", FILTERS)
 def test_glsl_equals_jax(name, fetch, page):
     settings = settings_of(name, fetch=fetch)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
     for frame in frames():
-        found = run_shaders(page, "onWebgl", graph, print_glsl(graph), planes_of(frame))
+        found = run_shaders(page, "Webgl", graph, print_glsl(graph), planes_of(frame))
         check(found, expected(name, frame, settings))
 
 
@@ -186,8 +194,63 @@ def test_hlsl_equals_jax(name):
 def test_a_shader_takes_parameters(page):
     graph = graph_of(filter_info("guertin2014"), channels=3)
     frame, code = frames()[0], print_wgsl(graph)
-    found = run_shaders(page, "onWebgpu", graph, code, planes_of(frame), {"kappa": 2.0, "tau": 0.0})
+    found = run_shaders(page, "Webgpu", graph, code, planes_of(frame), {"kappa": 2.0, "tau": 0.0})
     check(found, expected("guertin2014", frame, graph.settings, kappa=2.0, tau=0.0))
+
+
+SHARES = 3
+
+
+def compete(at, images, _, __):
+    """In each share of the table, all pixels of a column leave marks at few places."""
+    (color,) = images
+
+    def mark(step):
+        place = (step * color.height + at.row % 2) * color.width + at.column
+        number = (at.row * 7919 + at.column * 104729 + (step + 1) * 1299709) * 48271
+        # In the second share all have the same high bits, in the third the same low ones.
+        number = jnp.where(step == 1, (number & 0xFFFF) | (5 << 16), number)
+        number = jnp.where(step == 2, (number & 0x7FFF0000) | 5, number)
+        return ((place, jnp.where(step < SHARES, number & 0x7FFFFFFF, 0)),)
+
+    return Outcome(mark_over(jnp.float32(SHARES), mark))
+
+
+def halves(at, images, _, __):
+    """The bits of the marks, which a float holds 16 at a time."""
+    (marks,) = images
+    found = [marks.read(k * (marks.height // SHARES) + at.row, at.column)[0] for k in range(SHARES)]
+    parts = [part for mark in found for part in (mark >> 16, mark & 0xFFFF)]
+    return Outcome(tuple(part.astype(jnp.float32) for part in parts))
+
+
+def competing(first, frame, parameters, *, settings=None, noise=None, apart=SHARES):
+    """A filter that shows three of the halves of the largest marks."""
+    height, width = frame.depth.shape
+    length = SHARES * height * width
+    marks = largest_marks(
+        compete, (height, width), (Image(frame.color),), length, apart=apart, backend="xla"
+    )
+    table = Image(marks.reshape(SHARES * height, width, 1))
+    bits = each_pixel(halves, (height, width), (table,), backend="xla")
+    return bits[..., first : first + 3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "print_form"), [("Webgpu", print_wgsl), ("Webgl", print_glsl)], ids=["wgsl", "glsl"]
+)
+def test_the_largest_mark_is_found_in_all_its_bits(kind, print_form, page):
+    frame = frames()[0]
+    for first in range(0, 2 * SHARES, 3):
+        info = FilterInfo(
+            name="own", summary="a test", function=functools.partial(competing, first)
+        )
+        with registered(info):
+            graph = graph_of(info, channels=3)
+        wanted = np.asarray(competing(first, frame, None))
+        found = run_shaders(page, kind, graph, print_form(graph), planes_of(frame))
+        assert np.array_equal(found, wanted) and wanted.max() > 2**14
 
 
 def test_noise_has_the_bits_of_the_built_in_one():
@@ -267,6 +330,16 @@ def test_what_has_no_form_is_refused_by_name():
             sources_of(graph, language)
 
 
+def test_marks_without_a_number_have_no_form_in_glsl():
+    function = functools.partial(competing, 0, apart=0)
+    info = FilterInfo(name="own", summary="a test", function=function)
+    with registered(info):
+        graph = graph_of(info, channels=3)
+    with pytest.raises(NotExpressible, match="the pass compete leaves any number of marks"):
+        sources_of(graph, "glsl")
+    assert "atomicMax" in sources_of(graph, "wgsl")["jaxblur_own.wgsl"]
+
+
 def test_settings_that_cannot_be_exported_are_refused():
     info = filter_info("guertin2014")
     with pytest.raises(ValueError, match="`fetch` must be nearest or bilinear"):
@@ -277,9 +350,6 @@ def test_settings_that_cannot_be_exported_are_refused():
         graph_of(info, channels=0)
     with pytest.raises(ValueError, match=r"`settings\.samples` must be odd"):
         graph_of(filter_info("mcguire2012"), settings=settings_of("mcguire2012", samples=8))
-    graph = graph_of(filter_info("layered"))
-    with pytest.raises(NotExpressible, match=r"draw_pixel keeps the largest of marks.*use wgsl"):
-        sources_of(graph, "glsl")
 
 
 def test_a_filter_still_runs_at_the_size_that_it_was_exported_at():

@@ -81,15 +81,36 @@ def drawing(frame, parameters, *, settings=None, noise=None):
     return found.reshape(height, width, 1).astype(jnp.float32)
 
 
+def stamp(at, images, _, __):
+    """Leaves its column in the row below."""
+    (speed,) = images.speed.here()
+    below = jnp.minimum(at.row + 1, images.speed.height - 1)
+
+    def mark(k):
+        return ((below * images.speed.width + at.column, jnp.where(k < 1, at.column, 0)),)
+
+    return Outcome(mark_over(jnp.float32(1), mark), where=speed > 0)
+
+
+def stamping(frame, parameters, *, settings=None, noise=None):
+    """A filter with a scatter-max of a known number of marks, one."""
+    height, width = frame.depth.shape
+    images = Images(Image(frame.color), Image(frame.velocity[..., :1]))
+    found = largest_marks(stamp, (height, width), images, height * width, apart=1)
+    return found.reshape(height, width, 1).astype(jnp.float32)
+
+
 INFOS = {
     "smearing": FilterInfo(name="golden", summary="a test", function=smearing, parameters=Reach),
     "drawing": FilterInfo(name="golden", summary="a test", function=drawing),
+    "stamping": FilterInfo(name="golden", summary="a test", function=stamping),
 }
 CASES = [
     (name, language)
     for name in INFOS
     for language in LANGUAGES
-    if (name, language) != ("drawing", "glsl")
+    # Only a known number of marks has a form in GLSL.
+    if (name == "stamping") == (language == "glsl") or name == "smearing"
 ]
 
 

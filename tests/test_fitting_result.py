@@ -12,6 +12,7 @@ import pytest
 
 import jaxblur
 from jaxblur.exr import JaxblurIOError
+from jaxblur.fitting import FilterChoice, load_choice
 from jaxblur.fitting.result import SCHEMA, Data, FitResult, Score, Sensitivity, to_toml
 
 pytestmark = pytest.mark.slow
@@ -69,6 +70,27 @@ def test_what_a_filter_takes():
 def test_mean_scores():
     assert math.isclose(RESULT.mean_score("mse", "train", "fitted"), 0.2)
     assert math.isnan(RESULT.mean_score("mse", "held-out", "fitted"))
+
+
+def test_a_choice_without_a_fit(tmp_path):
+    path = tmp_path / "copied.toml"
+    text = 'schema = 1\nfilter = "mcguire2012"\n[parameters]\nsoft_z_extent = 2\n[settings]\n'
+    path.write_text(text + "samples = 9\n")
+    choice = load_choice(path)
+    assert type(choice) is FilterChoice
+    assert choice.filter_parameters == jaxblur.McGuireParameters(soft_z_extent=2.0)
+    # Settings that are not in the file are those of the filter.
+    assert choice.filter_settings == jaxblur.Settings(samples=9, radius=20)
+    RESULT.save(tmp_path / "fitted.toml")
+    assert load_choice(tmp_path / "fitted.toml") == RESULT
+    with pytest.raises(ValueError, match=rf"{path}: missing key '\w+'; write the file again"):
+        FitResult.load(path)
+    path.write_text(text.replace("[settings]", ""))
+    with pytest.raises(ValueError, match=rf"{path}: missing key 'settings'"):
+        load_choice(path)
+    path.write_text(text.replace("[parameters]", "steps = 3\n[parameters]"))
+    with pytest.raises(ValueError, match=rf"{path}: missing key"):
+        load_choice(path)
 
 
 @pytest.mark.parametrize(

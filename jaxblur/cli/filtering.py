@@ -164,7 +164,7 @@ def report_ignored(path: Any, ignored: Any) -> None:
 
 
 def add_parameters_option(group: Any) -> None:
-    """Add the option that names a file of `jaxblur fit`; `read_fitted` reads it.
+    """Add the option that names a file of `jaxblur fit` or `play`; `read_fitted` reads it.
 
     Args:
         group: that `add_filter_options` returned.
@@ -173,21 +173,22 @@ def add_parameters_option(group: Any) -> None:
         "--parameters",
         type=pathlib.Path,
         metavar="FILE",
-        help="filter, parameters and settings as `jaxblur fit` wrote them; options override them",
+        help="filter, parameters and settings as `jaxblur fit` wrote them, or as a page of "
+        "`jaxblur play` copies them; options override them",
     )
 
 
 def read_fitted(arguments: argparse.Namespace) -> Any:
-    """The `jaxblur.FitResult` that ``--parameters`` names, or None.
+    """The `jaxblur.fitting.FilterChoice` that ``--parameters`` names, or None.
 
     Raises:
         ValueError: the file holds something else.
     """
     if arguments.parameters is None:
         return None
-    from jaxblur.fitting import FitResult
+    from jaxblur.fitting import load_choice
 
-    return FitResult.load(arguments.parameters)
+    return load_choice(arguments.parameters)
 
 
 def complete(

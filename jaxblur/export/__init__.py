@@ -13,4 +13,4 @@ from .package import (
     sources_of as sources_of,
     write_package as write_package,
 )
-from .play import build_play as build_play
+from .play import PlayForms as PlayForms, build_play as build_play

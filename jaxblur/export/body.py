@@ -2,6 +2,8 @@
 
 from typing import NamedTuple, Protocol
 
+from jax.extend import core
+
 from ..kernels.program import marks_primitive
 from .between import Number
 from .expressions import ATOM, PRODUCT, SUM, Dialect, NotExpressible, Value
@@ -81,13 +83,14 @@ def bindings_of(node: Node, names: Names | None = None) -> dict[Buffer, str]:
     return found
 
 
-def write_body(node: Node, host: Host, depth: int) -> Body:
+def write_body(node: Node, host: Host, depth: int, step: str = "") -> Body:
     """Print a pass.
 
     Args:
         node: the pass.
         host: the language.
         depth: of the indentation of a pixel's statements.
+        step: the number of the one mark that is written, of a pass that leaves marks; all if empty.
 
     Returns:
         Its text.
@@ -129,7 +132,7 @@ def write_body(node: Node, host: Host, depth: int) -> Body:
             inputs.append(pixel)
     printer.unnamed = node.output.name if node.name.startswith("make_") else "value"
     printer.begin(jaxpr, inputs, own)
-    _write_outcome(node, host, printer, bound)
+    _write_outcome(node, host, printer, bound, step)
     return Body(head.lines, printer.lines, [Binding(n, b) for b, n in bound.items()])
 
 
@@ -185,7 +188,9 @@ def _number(number: Number, name: str, head: Printer, host: Host, used: bool) ->
     return value if value.code.isidentifier() else head.define(value, name)
 
 
-def _write_outcome(node: Node, host: Host, printer: Printer, bound: dict[Buffer, str]) -> None:
+def _write_outcome(
+    node: Node, host: Host, printer: Printer, bound: dict[Buffer, str], step: str
+) -> None:
     """The condition, what other pixels get, and the values."""
     traced, jaxpr = node.run.traced, node.run.traced.jaxpr
     where, *rest = jaxpr.outvars
@@ -201,7 +206,7 @@ def _write_outcome(node: Node, host: Host, printer: Printer, bound: dict[Buffer,
                     printer.add(host.store(node, channel, code))
             printer.add(host.leave)
     if node.run.kind == "marks":
-        _write_marks(node, host, printer)
+        _write_marks(node, host, printer, step)
         return
     for channel, value in enumerate(printer.write(jaxpr.eqns, values)):
         printer.add(host.store(node, channel, host.dialect.cast(value, node.output.dtype).code))
@@ -225,15 +230,12 @@ def _others(
     ]
 
 
-def _write_marks(node: Node, host: Host, printer: Printer) -> None:
+def _write_marks(node: Node, host: Host, printer: Printer, step: str) -> None:
     jaxpr = node.run.traced.jaxpr
     (equation,) = (e for e in jaxpr.eqns if e.primitive is marks_primitive)
-    variables = [v for v in equation.invars if hasattr(v, "count") or v in _made(jaxpr)]
-    printer.write(jaxpr.eqns, [v for v in variables if v in _made(jaxpr)])
+    made = {v for e in jaxpr.eqns for v in e.outvars}
+    operands = [v for v in equation.invars if not isinstance(v, core.Literal)]
+    printer.write(jaxpr.eqns, [v for v in operands if v in made])
     if equation.params["count"]:
         raise NotExpressible(f"{host.dialect.name}: marks with a fixed number of steps.")
-    printer.write_marks(equation, lambda place, mark: host.mark(node, place.code, mark.code))
-
-
-def _made(jaxpr) -> set:
-    return {v for e in jaxpr.eqns for v in e.outvars}
+    printer.write_marks(equation, lambda place, mark: host.mark(node, place.code, mark.code), step)

@@ -14,7 +14,7 @@ from .. import exr
 from .._util.errors import JaxblurIOError
 from .c import print_c
 from .compute import print_hlsl, print_wgsl
-from .fragments import print_glsl, textures_of
+from .fragments import POINTS_FRAGMENT, print_glsl, textures_of
 from .graph import Buffer, Graph
 from .plan import GROUP, plan_of
 from .reference import SHARE, TOLERANCE, expected_of, frame_of, reference_planes
@@ -49,8 +49,16 @@ def sources_of(graph: Graph, language: Language) -> dict[str, str]:
     if language == "hlsl":
         return {f"{name}.hlsl": print_hlsl(graph)}
     if language == "glsl":
-        shaders = enumerate(print_glsl(graph).items(), 1)
-        return {f"{number:02}_{part}.frag": text for number, (part, text) in shaders}
+        found = {}
+        for number, (node, text) in enumerate(
+            zip(graph.nodes, print_glsl(graph).values(), strict=True), 1
+        ):
+            file = f"{number:02}_{node.name}"
+            if node.run.kind == "marks":
+                found |= {f"{file}.vert": text, f"{file}.frag": POINTS_FRAGMENT}
+            else:
+                found[f"{file}.frag"] = text
+        return found
     raise ValueError(f"`language` must be one of {', '.join(LANGUAGES)}, got {language!r}.")
 
 
@@ -183,7 +191,15 @@ One fragment shader in GLSL ES 3.00 for each pass, in the order of the files. Dr
 texels of its output (a triangle that covers the viewport), into float textures (RGBA32F; WebGL 2
 needs EXT_color_buffer_float). A buffer of up to four channels is one texture; more channels are
 several, in outputs of one framebuffer. Row 0 of a texture is the top row of the frame. Set the
-uniforms `height`, `width` (of the frame) and `parameter_NAME`.""",
+uniforms `height`, `width` (of the frame) and `parameter_NAME`. A buffer of int32 is a texture R32I
+(RGBA32I if it has channels). What is taller than the frame may be a texture of any width: its
+elements follow one another row by row.
+
+A pass with a `.vert` draws points: as many vertices as the frame has pixels, as many instances as
+`marks` of the pass in `plan.json`. Draw it twice into R32I textures of the size of its output
+(uniform `table_size`, columns and rows) with a depth buffer of 24 bits, both cleared to 0, and the
+depth test "greater or equal": first with `low_bits` false, then with `low_bits` true into the
+output, the first result bound as `high_bits`. It keeps the largest mark at each place.""",
 }
 
 
@@ -279,7 +295,8 @@ def _table(head: tuple[str, ...], rows: list[tuple[str, ...]], empty: str = "") 
 
 def _format(buffer: Buffer, language: Language) -> str:
     if language == "glsl":
-        return " and ".join(f"`{name}` RGBA32F" for name in textures_of(buffer))
+        texels = "R32I" if buffer.dtype == "int32" else "RGBA32F"
+        return " and ".join(f"`{name}` {texels}" for name in textures_of(buffer))
     return f"{buffer.channels} x {buffer.dtype}"
 
 

@@ -18,7 +18,8 @@ def plan_of(graph: Graph) -> dict[str, Any]:
     Returns:
         A tree for JSON. ``buffers`` in the order of their bindings, which count from 1; binding 0
         holds the uniforms: height and width as int32, then the parameters as float32. ``passes``
-        in their order.
+        in their order; ``marks`` is the number of marks that a pixel leaves, 0 if it leaves none or
+        any number.
     """
     return {
         "filter": graph.filter.name,
@@ -51,6 +52,7 @@ def plan_of(graph: Graph) -> dict[str, Any]:
                 "grid": _size(node.size),
                 "reads": [buffer.name for buffer in bindings_of(node)],
                 "writes": node.output.name,
+                "marks": node.run.apart,
             }
             for node in graph.nodes
         ],

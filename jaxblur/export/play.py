@@ -1,17 +1,22 @@
-"""One HTML file in which a frame is blurred live, by the WGSL of an export."""
+"""One HTML file in which a frame is blurred live, by the WGSL or GLSL of exports."""
 
 import base64
+import dataclasses
 import gzip
 import hashlib
 import html
 import importlib.resources
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from ..filters.parameters import ParameterInfo
 from .compute import print_wgsl
+from .expressions import NotExpressible
+from .fragments import print_glsl
 from .graph import Graph
 from .plan import plan_of
 from .reference import FAR
@@ -19,12 +24,81 @@ from .reference import FAR
 WIDEST = 20.0
 """Ratio of the ends of a slider from which it moves by factors."""
 
+FINEST = 100.0
+"""A slider whose range excludes its lower end begins at this part of the way to its value."""
+
 LARGEST_SHUTTER = 3.0
 """Largest exposure of the slider, in units of that of the frame."""
 
 
+class PlayForms:
+    """The filters of a page in all their forms, texts that are equal kept once."""
+
+    def __init__(self) -> None:
+        self.filters: list[dict[str, Any]] = []
+        self.inputs: list[str] = []
+        self._texts: dict[str, int] = {}
+
+    def add(self, graphs: Sequence[Graph], start: int) -> None:
+        """Add a filter.
+
+        Args:
+            graphs: the filter with some numbers of samples, for three channels of color.
+            start: number of the graph with which the page begins.
+
+        Raises:
+            NotExpressible: the filter has a form neither in WGSL nor in GLSL.
+            ValueError: a graph is not of three channels.
+        """
+        for graph in graphs:
+            if graph.channels != 3:
+                raise ValueError(f"`graphs` must be of three channels, got {graph.channels}.")
+        variants = [self._variant(graph) for graph in graphs]
+        chosen = graphs[start]
+        self.filters.append(
+            {
+                "name": chosen.filter.name,
+                "summary": chosen.filter.summary,
+                "start": start,
+                "parameters": _sliders(chosen),
+                "variants": variants,
+            }
+        )
+        names = (buffer.name for graph in graphs for buffer in graph.inputs)
+        self.inputs = list(dict.fromkeys([*self.inputs, *names]))
+
+    def packed(self) -> str:
+        """All of it as compressed text."""
+        content = {"texts": list(self._texts), "filters": self.filters}
+        return _compressed(json.dumps(content, separators=(",", ":")).encode())
+
+    def _variant(self, graph: Graph) -> dict[str, Any]:
+        forms: dict[str, Any] = {}
+        problems = []
+        try:
+            forms["wgsl"] = self._parts(print_wgsl(graph))
+        except NotExpressible as error:
+            problems.append(error)
+        try:
+            shaders = print_glsl(graph)
+            forms["glsl"] = {name: self._parts(text) for name, text in shaders.items()}
+        except NotExpressible as error:
+            problems.append(error)
+        if not forms:
+            raise problems[0]
+        settings = dataclasses.asdict(graph.settings)
+        # Where a filter runs is no matter of its picture.
+        del settings["backend"]
+        samples = graph.settings.samples
+        return {"samples": samples, "settings": settings, "plan": plan_of(graph), **forms}
+
+    def _parts(self, text: str) -> list[int]:
+        """Numbers of the paragraphs of a text: passes that do not depend on samples are shared."""
+        return [self._texts.setdefault(part, len(self._texts)) for part in text.split("\n\n")]
+
+
 def build_play(
-    graph: Graph,
+    forms: PlayForms,
     planes: dict[str, np.ndarray],
     truth: np.ndarray | None = None,
     *,
@@ -34,50 +108,52 @@ def build_play(
     """Make the page.
 
     Args:
-        graph: the filter, for three channels.
+        forms: the filters; the page begins with the first.
         planes: color (H, W, 3) linear light as a screen shows it, depth (H, W), velocity (H, W, 2)
-            half-spread in pixels, and path (H, W, 2, 2) and noise if the filter reads them.
+            half-spread in pixels, and path (H, W, 2, 2) and noise if a filter reads them.
         truth: (H, W, 3) in the same light, or None.
         title: such as the name of the file.
         shutter: exposure in frames that the velocity is for, to be shown.
 
     Returns:
-        The whole file. It needs no network, and WebGPU.
+        The whole file. It needs no network; WebGPU, or WebGL 2 for filters with a form in GLSL.
 
     Raises:
-        NotExpressible: the filter has no form in WGSL.
-        ValueError: the filter is not for three channels, or a plane that it reads is missing.
+        ValueError: there is no filter, or a plane that one reads is missing.
     """
-    if graph.channels != 3:
-        raise ValueError(f"`graph` must be of three channels, got {graph.channels}.")
-    missing = [buffer.name for buffer in graph.inputs if buffer.name not in planes]
+    if not forms.filters:
+        raise ValueError("`forms` must hold a filter; add one.")
+    missing = [name for name in forms.inputs if name not in planes]
     if missing:
-        raise ValueError(f"`planes` must hold {', '.join(missing)}, which the filter reads.")
+        raise ValueError(f"`planes` must hold {', '.join(missing)}, which a filter reads.")
     height, width = planes["color"].shape[:2]
     embedded = {"color": _packed(planes["color"], True)}
     embedded |= {
-        buffer.name: _packed(np.minimum(planes[buffer.name], FAR), False)
-        for buffer in graph.inputs
-        if buffer.name != "color"
+        name: _packed(np.minimum(planes[name], FAR), False)
+        for name in forms.inputs
+        if name != "color"
     }
-    embedded.setdefault("velocity", _packed(planes["velocity"], False))
     if truth is not None:
         embedded["truth"] = _packed(truth[..., :3], True)
     data = {
-        "plan": plan_of(graph),
-        "code": print_wgsl(graph),
         "width": width,
         "height": height,
         "shutter": shutter,
+        "slider": {
+            "name": "shutter",
+            "value": 1.0,
+            "low": 0.0,
+            "high": LARGEST_SHUTTER,
+            "log": False,
+            "meaning": "length of the exposure, times that of the frame",
+        },
         "planes": embedded,
-        "sliders": _sliders(graph),
+        "programs": forms.packed(),
     }
-    style, script = _template("play.css"), _template("webgpu.js") + "\n" + _template("play.js")
-    settings = graph.settings
+    style = _template("play.css")
+    script = "\n".join(map(_template, ("webgpu.js", "webgl.js", "play.js")))
     subtitle = (
-        f"{graph.filter.name}, {settings.samples} samples, radius {settings.radius} px, "
-        f"{settings.fetch} reads; {width} x {height} pixels. Computed in this browser from the "
-        "program that jaxblur runs."
+        f"{width} x {height} pixels, blurred in this browser by the programs that jaxblur runs."
     )
     parts = {
         "TITLE": html.escape(title),
@@ -94,38 +170,29 @@ def build_play(
 
 
 def _sliders(graph: Graph) -> list[dict[str, Any]]:
-    sliders = [
-        {
-            "name": "shutter",
-            "value": 1.0,
-            "low": 0.0,
-            "high": LARGEST_SHUTTER,
-            "log": False,
-            "meaning": "length of the exposure, times that of the frame",
-            "unit": "",
-        }
-    ]
-    for name, value in graph.parameters.items():
-        info = graph.filter.parameter_infos[name]
-        low, high = (
-            end if math.isfinite(end) else other
-            for end, other in zip(info.useful, (info.low, info.high), strict=True)
-        )
-        low = low if math.isfinite(low) else value - 10 * abs(value) - 1
-        high = high if math.isfinite(high) else max(10 * abs(value), 1.0)
-        low, high = min(low, value), max(high, value)
-        sliders.append(
-            {
-                "name": name,
-                "value": value,
-                "low": low,
-                "high": high,
-                "log": low > 0 and high / low > WIDEST,
-                "meaning": info.meaning,
-                "unit": info.unit,
-            }
-        )
-    return sliders
+    infos = graph.filter.parameter_infos
+    return [_slider(name, value, infos[name]) for name, value in graph.parameters.items()]
+
+
+def _slider(name: str, value: float, info: ParameterInfo) -> dict[str, Any]:
+    low, high = (
+        end if math.isfinite(end) else other
+        for end, other in zip(info.useful, (info.low, info.high), strict=True)
+    )
+    low = low if math.isfinite(low) else value - 10 * abs(value) - 1
+    high = high if math.isfinite(high) else max(10 * abs(value), 1.0)
+    if not info.allows(low):
+        low += (value - low) / FINEST
+    low, high = min(low, value), max(high, value)
+    return {
+        "name": name,
+        "value": value,
+        "low": low,
+        "high": high,
+        "log": low > 0 and high / low > WIDEST,
+        "meaning": info.meaning,
+        "unit": info.unit,
+    }
 
 
 def _packed(plane: np.ndarray, half: bool) -> dict[str, Any]:
@@ -133,8 +200,11 @@ def _packed(plane: np.ndarray, half: bool) -> dict[str, Any]:
     if half:
         plane = np.clip(plane, -65504.0, 65504.0)
     values = np.ascontiguousarray(plane, "<f2" if half else "<f4")
-    content = gzip.compress(values.tobytes(), 6, mtime=0)
-    return {"half": half, "data": base64.b64encode(content).decode()}
+    return {"half": half, "data": _compressed(values.tobytes())}
+
+
+def _compressed(content: bytes) -> str:
+    return base64.b64encode(gzip.compress(content, 6, mtime=0)).decode()
 
 
 def _template(name: str) -> str:

@@ -302,8 +302,8 @@ class Printer:
                 return found.names[0]
         return origin.names[0]
 
-    def _open_samples(self, inner: Any, equation: Any, limit: Any) -> None:
-        """The head of a loop over samples."""
+    def _open_samples(self, inner: Any, equation: Any, limit: Any, only: str = "") -> None:
+        """The head of a loop over samples, or of the only one of it that is computed."""
         count = len(inner.constvars)
         for variable, atom in zip(inner.constvars, equation.invars[:count], strict=True):
             self._values[variable] = self.value(atom)
@@ -315,18 +315,25 @@ class Printer:
             end = self.define(bound, "last_sample")
         step = Value(self.names.new("i"), "int32")
         self._values[inner.invars[0]] = step
-        self.add(self._for(step.code, end.code))
+        if only:
+            kind = self.dialect.type_of("int32")
+            self.add(self.dialect.constant.format(type=kind, name=step.code, value=only))
+        self.add(f"if ({step.code} < {end.code}) {{" if only else self._for(step.code, end.code))
 
     def _for(self, name: str, end: str) -> str:
         kind = self.dialect.type_of("int32")
         start = f"var {name}: {kind} = 0" if self.dialect.name == "wgsl" else f"{kind} {name} = 0"
         return f"for ({start}; {name} < {end}; {name}++) {{"
 
-    def write_marks(self, equation: Any, leave: Callable[[Value, Value], str]) -> None:
-        """Write a loop that leaves marks."""
+    def write_marks(
+        self, equation: Any, leave: Callable[[Value, Value], str], only: str = ""
+    ) -> None:
+        """Write a loop that leaves marks, or the step of it whose number is given."""
         inner = equation.params["jaxpr"]
-        self._open_samples(inner, equation, equation.invars[-1])
+        self._open_samples(inner, equation, equation.invars[-1], only)
         found = self.write(inner.eqns, inner.outvars)
+        if only and len(found) > 2:
+            raise NotExpressible(f"{self.dialect.name}: several marks in one step.")
         for place, mark in zip(found[::2], found[1::2], strict=True):
             self.add(leave(place, mark))
         self.add("}")

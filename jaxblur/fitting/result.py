@@ -2,7 +2,8 @@
 
 The file holds everything needed to use, judge and repeat the fit. It has a schema number; unknown
 keys, missing keys and values of another type are errors. A setting that is newer than the file
-takes its default.
+takes its default. A file may hold filter, parameters and settings alone, as the page of
+`jaxblur play` writes them: see `load_choice`.
 """
 
 import dataclasses
@@ -49,6 +50,8 @@ class Score:
     ssim: float
     flip: float
 
+
+Kind = typing.TypeVar("Kind", bound="FilterChoice")
 
 _FIGURES = {"psnr": (" in dB", 2, 1), "ssim": ("", 4, 1), "flip": ("", 4, -1)}
 """Unit, digits that are printed, and 1 if larger is better."""
@@ -100,18 +103,40 @@ class Data:
 
 
 @dataclasses.dataclass(frozen=True)
-class FitResult:
-    """Result of a fit: the parameters, how well they are determined, and how they were found.
+class FilterChoice:
+    """A filter with its parameters and settings.
 
     Attributes:
         filter: name of a registered filter.
         parameters: all parameters of the filter, including the fitted ones.
+        settings: of the filter run, by name.
+    """
+
+    filter: str
+    parameters: dict[str, float]
+    settings: dict[str, str | int | float]
+
+    @property
+    def filter_parameters(self) -> Parameters | None:
+        """The parameters as the filter takes them."""
+        return filter_info(self.filter).make_parameters(**self.parameters)
+
+    @property
+    def filter_settings(self) -> Settings:
+        """The settings of the run, as the filter takes them."""
+        return filter_info(self.filter).kind(**typing.cast(dict[str, Any], self.settings))
+
+
+@dataclasses.dataclass(frozen=True)
+class FitResult(FilterChoice):
+    """Result of a fit: the parameters, how well they are determined, and how they were found.
+
+    Attributes:
         initial: where the fit started.
         published: the default parameters of the filter.
         free: names of the fitted parameters.
         minimized: the objective in one sentence.
         objective: its choices: loss, pixel, mask, noise, noise_draws, seed, prior.
-        settings: of the filter run, by name.
         notes: additions of the caller, such as how the frames were read.
         steps: number of steps done.
         interrupted: ctrl-C ended the fit; it has no scores and no sensitivity.
@@ -126,14 +151,11 @@ class FitResult:
             scores that the fit made worse. Empty if all is well.
     """
 
-    filter: str
-    parameters: dict[str, float]
     initial: dict[str, float]
     published: dict[str, float]
     free: tuple[str, ...]
     minimized: str
     objective: dict[str, str | int | float]
-    settings: dict[str, str | int | float]
     notes: dict[str, str | int | float]
     steps: int
     interrupted: bool
@@ -144,16 +166,6 @@ class FitResult:
     versions: dict[str, str]
     plateau: int | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def filter_parameters(self) -> Parameters | None:
-        """The parameters as the filter takes them."""
-        return filter_info(self.filter).make_parameters(**self.parameters)
-
-    @property
-    def filter_settings(self) -> Settings:
-        """The settings of the run that was fitted, as the filter takes them."""
-        return filter_info(self.filter).kind(**typing.cast(dict[str, Any], self.settings))
 
     def mean_score(self, figure: str, part: str, parameters: str, region: str = "whole") -> float:
         """Mean of one figure over the pairs.
@@ -225,24 +237,52 @@ class FitResult:
                 and key.
             JaxblurIOError: the file cannot be read as text.
         """
-        text = read_text(path, "give a file that `jaxblur fit` wrote.")
-        try:
-            content = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"{path}: is not TOML: {error}.") from error
-        schema = content.pop("schema", None)
-        if schema != SCHEMA:
-            raise ValueError(
-                f"{path}: 'schema' must be {SCHEMA}, got {schema}; fit again, or use the version "
-                "of jaxblur that wrote it."
-            )
-        try:
-            result = _decode(FitResult, content, "")
-            result = dataclasses.replace(result, settings=_completed(result))
-        except (ValueError, OverflowError) as error:
-            # Plain quotes: these are keys of the file, not arguments of a caller.
-            raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
-        return result
+        return _record(FitResult, _content(path), path)
+
+
+def load_choice(path: str | os.PathLike[str]) -> FilterChoice:
+    """Read a file that says which filter runs, with which parameters and settings.
+
+    Args:
+        path: TOML file that `FitResult.save` wrote, or that was copied from a page of
+            `jaxblur play`.
+
+    Returns:
+        A `FitResult` if the file holds one.
+
+    Raises:
+        ValueError: as `FitResult.load`.
+        JaxblurIOError: the file cannot be read as text.
+    """
+    content = _content(path)
+    alone = {field.name for field in dataclasses.fields(FilterChoice)}
+    return _record(FilterChoice if content.keys() <= alone else FitResult, content, path)
+
+
+def _content(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a file of this schema holds."""
+    text = read_text(path, "give a file that `jaxblur fit` wrote.")
+    try:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: is not TOML: {error}.") from error
+    schema = content.pop("schema", None)
+    if schema != SCHEMA:
+        raise ValueError(
+            f"{path}: 'schema' must be {SCHEMA}, got {schema}; fit again, or use the version "
+            "of jaxblur that wrote it."
+        )
+    return content
+
+
+def _record(kind: type[Kind], content: dict[str, Any], path: str | os.PathLike[str]) -> Kind:
+    """The content of a file as a record."""
+    try:
+        result = _decode(kind, content, "")
+        return dataclasses.replace(result, settings=_completed(result))
+    except (ValueError, OverflowError) as error:
+        # Plain quotes: these are keys of the file, not arguments of a caller.
+        raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
@@ -271,7 +311,7 @@ def _lines(table: Mapping[str, Any], prefix: str) -> list[str]:
     return lines
 
 
-def _completed(result: FitResult) -> dict[str, str | int | float]:
+def _completed(result: FilterChoice) -> dict[str, str | int | float]:
     """The settings of a file, with defaults for those that are newer than the file.
 
     Version 0.1 wrote the choices of guertin2014 for every filter; the others ignored them.
@@ -354,7 +394,7 @@ def _decode_record(kind: Any, value: Any, where: str) -> Any:
     for name in table.keys() - hints.keys():
         raise ValueError(f"unknown key `{prefix}{name}`; remove it.")
     for name in hints.keys() - table.keys() - absent.keys():
-        raise ValueError(f"missing key `{prefix}{name}`; fit again.")
+        raise ValueError(f"missing key `{prefix}{name}`; write the file again.")
     decoded = {name: _decode(hints[name], v, f"{prefix}{name}") for name, v in table.items()}
     return kind(**absent | decoded)
 

@@ -16,7 +16,7 @@ from ..compute import start_jax
 from ..console import print_line, print_table
 from ..filtering import DEFAULT_FILTER
 from ..scores import SCORE_COLUMNS, score_rows, scores
-from .play import page_of
+from .play import Entry, others, page_of
 from .report import write_page
 from .scene import image_size, make_scene
 
@@ -92,14 +92,15 @@ def run(arguments: argparse.Namespace) -> int:
     _write_page(result, page, arguments.scene, truth, {"sharp": sharp, name: blurred})
     print_line(f"{page}: to compare them in a browser")
     buffers = {"color": sharp, "depth": frame.depth, "velocity": frame.velocity, "path": frame.path}
+    info = filter_info(name)
     html = page_of(
-        *(name, {}, filter_info(name).settings, buffers, truth),
+        *([Entry(info, {}, info.settings), *others(info)], buffers, truth),
         title=arguments.scene,
         shutter=SHUTTER,
     )
     with replacing(play) as temporary:
         pathlib.Path(temporary).write_text(html, encoding="utf-8")
-    print_line(f"{play}: to blur it in a browser with WebGPU, by sliders")
+    print_line(f"{play}: to blur it in a browser, by any filter, with sliders")
     print_line(f"try: jaxblur blur {images['sharp']} -o again.exr --truth {images['truth']}")
     return 0
 

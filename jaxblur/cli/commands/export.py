@@ -31,8 +31,8 @@ def add_parser(commands: Any) -> None:
         "--language",
         choices=("c", "wgsl", "glsl", "hlsl"),
         required=True,
-        help="C99; WGSL (WebGPU); GLSL ES 3.00 fragment shaders (WebGL 2; not layered); HLSL "
-        "compute shaders (Unity, Unreal)",
+        help="C99; WGSL (WebGPU); GLSL ES 3.00 fragment shaders (WebGL 2); HLSL compute "
+        "shaders (Unity, Unreal)",
     )
     parser.add_argument(
         "-o", "--output", type=file_path, required=True, metavar="DIR", help="a new folder"

@@ -1,12 +1,15 @@
-"""``jaxblur play``: a page in which a frame is blurred live, with a slider for each parameter."""
+"""``jaxblur play``: a page in which a frame is blurred live, by any filter, with sliders."""
 
 import argparse
+import dataclasses
 import logging
 import pathlib
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from jaxblur._util.atomic import replacing
+from jaxblur.filters.registry import FilterInfo, names
+from jaxblur.settings import Settings
 
 from .. import sources
 from ..arguments import (
@@ -16,30 +19,51 @@ from ..arguments import (
     check_outputs,
     check_parent,
     file_path,
+    positive_integer,
     positive_number,
 )
 from ..compute import start_jax
 from ..console import print_line
 from ..filtering import (
+    QUALITIES,
     add_filter_options,
     add_nonfinite_option,
     add_parameters_option,
     complete,
     describe_filters,
+    filter_name,
     find_filter,
     read_fitted,
     report_ignored,
+    samples_of,
 )
 from ..loading import read_truth
 from ..sources import add_source_options, add_vector_options
 
 LOG = logging.getLogger("jaxblur")
 
+COUNTS = tuple(samples_of(Settings().samples, quality) for quality in QUALITIES)
+"""Numbers of samples that a page offers."""
+
+
+class Entry(NamedTuple):
+    """A filter of a page.
+
+    Attributes:
+        info: its record.
+        parameters: those that differ from its defaults.
+        settings: with which it begins.
+    """
+
+    info: FilterInfo
+    parameters: Mapping[str, float]
+    settings: Settings
+
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = add_command(
-        *(commands, "play", "Make one HTML page that blurs a frame live; it needs WebGPU.", run)
+        *(commands, "play", "Make one HTML page that blurs a frame live, by any filter.", run)
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_filters
@@ -66,6 +90,20 @@ def add_parser(commands: Any) -> None:
     )
     add_compute_options(parser)
     group = add_filter_options(parser)
+    group.add_argument(
+        "--filters",
+        type=_filters,
+        metavar="NAME,...",
+        help="those that the page offers beside --filter, with which it begins (default all)",
+    )
+    group.add_argument(
+        "--sample-counts",
+        type=_counts,
+        default=COUNTS,
+        metavar="N,...",
+        help="numbers of samples that the page offers beside --samples "
+        f"(default {','.join(map(str, COUNTS))})",
+    )
     add_parameters_option(group)
     add_vector_options(parser)
     add_nonfinite_option(add_source_options(parser))
@@ -86,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
     name, parameters, settings = complete(arguments, read_fitted(arguments))
     buffers = sources.read(arguments)
     report_ignored(arguments.input, buffers.ignored)
-    page = _page(arguments, name, parameters, settings, buffers)
+    page = _page(arguments, Entry(find_filter(name), parameters, settings), buffers)
     size = len(page.encode("utf-8")) / 1e6
     if size > arguments.max_megabytes:
         raise CommandError(
@@ -99,12 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _page(
-    arguments: argparse.Namespace, name: str, parameters: Any, settings: Any, buffers: Any
-) -> str:
+def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     """The page of a frame."""
-    import dataclasses
-
     import numpy as np
 
     start_jax(not arguments.no_compile_cache)
@@ -113,10 +147,14 @@ def _page(
     info = exr.inspect(arguments.input)
     colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
     color = np.asarray(metrics.rgb(colors.light(buffers.color)), np.float32)
+    # What the command line says holds for all filters that have the setting.
+    common = [field.name for field in dataclasses.fields(Settings)]
+    given = {key: value for key in common if (value := getattr(arguments, key, None))}
     if arguments.radius == 0:
-        fastest = vectors.speed_statistics(buffers.velocity, settings.radius).suggested_radius
-        settings = dataclasses.replace(settings, radius=fastest)
-        LOG.info("radius: %d px", fastest)
+        largest = asked.settings.radius
+        given["radius"] = vectors.speed_statistics(buffers.velocity, largest).suggested_radius
+        LOG.info("radius: %d px", given["radius"])
+        asked = asked._replace(settings=dataclasses.replace(asked.settings, radius=given["radius"]))
     frame = {"color": color, "depth": buffers.depth, "velocity": buffers.velocity}
     if buffers.path is not None:
         frame["path"] = buffers.path
@@ -125,51 +163,111 @@ def _page(
         stored, colors = read_truth(arguments, color.shape, None)
         truth = metrics.rgb(colors.light(stored))
     return page_of(
-        *(name, parameters, settings, frame, truth),
+        *([asked, *others(asked.info, given, arguments.filters)], frame, truth),
         title=arguments.input.name,
         shutter=arguments.shutter,
+        counts=arguments.sample_counts,
     )
 
 
+def others(
+    asked: FilterInfo, given: Mapping[str, Any] | None = None, chosen: Sequence[str] | None = None
+) -> list[Entry]:
+    """The filters that a page offers beside the one that it begins with.
+
+    Args:
+        asked: that one.
+        given: settings that replace those of each filter.
+        chosen: their names, as `--filter` takes them; None for all.
+
+    Returns:
+        The filters with their own parameters.
+    """
+    infos = map(find_filter, names() if chosen is None else chosen)
+    found = {info.name: info for info in infos if info.name != asked.name}
+    return [Entry(info, {}, info.make_settings(**(given or {}))) for info in found.values()]
+
+
 def page_of(
-    name: str,
-    parameters: Mapping[str, Any],
-    settings: Any,
+    entries: Sequence[Entry],
     frame: Mapping[str, Any],
     truth: Any,
     *,
     title: str,
     shutter: float,
+    counts: Sequence[int] = COUNTS,
 ) -> str:
     """The page that blurs a frame.
 
     Args:
-        name: of the filter.
-        parameters: that differ from its defaults.
-        settings: of the filter.
+        entries: the filters, first the one that it begins with. Of the others those that have no
+            form in the languages of a browser are left out, with a warning.
         frame: NumPy arrays by name: color (H, W, 3) as a screen shows it, depth, velocity, and path
             where there is one.
         truth: (H, W, 3) likewise, or None.
         title: of the page.
         shutter: exposure in frames.
+        counts: numbers of samples, beside those of the settings; a filter that cannot run with one
+            is without it.
 
     Returns:
         HTML.
     """
     import numpy as np
 
-    from jaxblur.export import build_play, graph_of
+    from jaxblur.export import PlayForms, build_play
     from jaxblur.noise import make_noise
 
     height, width = frame["depth"].shape
     noise = make_noise("halton", height, width)
-    names = [key for key in frame if key != "path" or name == "layered"]
-    planes = {key: np.asarray(frame[key], np.float32) for key in names}
+    planes = {key: np.asarray(values, np.float32) for key, values in frame.items()}
     planes |= {"noise_tap": np.asarray(noise.tap), "noise_tile": np.asarray(noise.tile)}
-    filter_of = find_filter(name)
-    graph = graph_of(
-        *(filter_of, filter_of.make_parameters(**parameters), settings),
-        channels=3,
-        has_path="path" in planes,
-    )
-    return build_play(graph, planes, truth, title=title, shutter=shutter)
+    forms = PlayForms()
+    for entry in entries:
+        try:
+            _add(forms, entry, counts, has_path="path" in frame)
+        except (ValueError, TypeError) as error:
+            # JAX says by a TypeError that a program cannot be traced.
+            if entry is entries[0]:
+                raise
+            LOG.warning("%s is not on the page: %s", entry.info.name, error)
+    return build_play(forms, planes, truth, title=title, shutter=shutter)
+
+
+def _add(forms: Any, entry: Entry, counts: Sequence[int], has_path: bool) -> None:
+    """Add a filter to the page, with all numbers of samples that it takes."""
+    from jaxblur.export import graph_of
+
+    info, parameters, settings = entry
+    counts = [
+        samples
+        for samples in sorted({settings.samples, *counts})
+        if _takes(info, settings, samples)
+    ]
+    values = info.make_parameters(**parameters)
+    graphs = []
+    # If there are none, the graph says why.
+    for samples in counts or [settings.samples]:
+        changed = dataclasses.replace(settings, samples=samples)
+        graphs.append(graph_of(info, values, changed, channels=3, has_path=has_path))
+    forms.add(graphs, counts.index(settings.samples) if settings.samples in counts else 0)
+
+
+def _takes(info: FilterInfo, settings: Settings, samples: int) -> bool:
+    try:
+        changed = dataclasses.replace(settings, samples=samples)
+        if info.check is not None:
+            info.check(changed)
+    except ValueError:
+        return False
+    return True
+
+
+def _filters(text: str) -> list[str]:
+    """Parse ``--filters``."""
+    return [filter_name(part) for part in text.split(",")]
+
+
+def _counts(text: str) -> list[int]:
+    """Parse ``--sample-counts``."""
+    return [positive_integer(part) for part in text.split(",")]
