@@ -1,6 +1,8 @@
 """Stereo: several views in one part, named by the attribute multiView, or each in its parts."""
 
+import argparse
 import json
+import pathlib
 import types
 from typing import Any
 
@@ -10,9 +12,12 @@ import pytest
 
 import jaxblur
 from jaxblur import exr
-from jaxblur.cli import views
+from jaxblur.cli import outputs, views
+from jaxblur.cli.arguments import CommandError
 from jaxblur.exr import choose
 from jaxblur.noise import make_noise
+from jaxblur.report import read_result
+from jaxblur.sequence import with_view
 from tests.command_line import refused, run
 from tests.exr_files import make_spec, plain_frame, read_raw, write_parts, write_single
 
@@ -275,6 +280,10 @@ def test_post_takes_all_views(tmp_path):
         "post", path, "-o", out, "--overwrite", "--do", "mlaa-depth"
     )
     assert run("post", path, "-o", out, "--overwrite", "--do", "fxaa").status == 0
+    run("post", path, "-o", tmp_path / "out.png", "--do", "fxaa")
+    for layer in ("left", "right"):
+        shown = exr.read_image(tmp_path / f"out.{layer}.png")
+        np.testing.assert_allclose(shown, exr.read_image(out, layer), atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -294,13 +303,16 @@ def test_post_takes_all_views(tmp_path):
         (None, ("--view-samples", "right=9", "--plan", "auto"), ("--plan chooses the samples",)),
         (None, ("--disparity", "9", "--layer", "left"), ("--disparity", "no views are blurred")),
         (None, ("--disparity", "9,0"), ("expected PX or PX,DISTANCE",)),
-        (None, ("--truth", "in.exr"), ("--truth:", "choose it with --views left")),
+        (None, ("--views", "middle"), ("no view 'middle' with color", "takes left, right")),
+        (None, ("--truth", "flat.exr"), ("truth: no view 'left'", "one view with --views left")),
+        (None, ("--truth", "in.exr", "--truth-layer", "left"), ("--truth-layer: each of the",)),
     ],
 )
 def test_views_that_cannot_be_blurred(tmp_path, own, given, words):
     path = tmp_path / "in.exr"
     stereo(path, own=("depth", "vectors") if own is None else own)
-    given = [path if text == "in.exr" else text for text in given]
+    files = {"in.exr": path, "flat.exr": write_single(tmp_path / "flat.exr", plain_frame(SHAPE))}
+    given = [files.get(text, text) for text in given]
     few = () if "--plan" in given else FEW
     message = refused("blur", path, "-o", tmp_path / "out.exr", *given, *few)
     for word in words:
@@ -316,12 +328,62 @@ def test_other_refusals_of_views(tmp_path):
         "blur", plain, *out, "--views", "all"
     )
     stereo(path, own=("depth", "vectors"))
-    assert "a .png holds one view" in refused(
-        "blur", path, "-o", tmp_path / "out.png", "--views", "all"
-    )
     assert "vectors: no view 'left'" in refused("blur", path, *out, "--velocity-from", plain)
     mcguire = ("--filter", "mcguire2012", "--view-samples", "right=4")
     assert "samples must be odd" in refused("blur", path, *out, *mcguire)
+
+
+def test_each_view_gets_a_png_and_is_scored_against_the_truth_for_its_eye(tmp_path):
+    path, out, few = tmp_path / "in.exr", tmp_path / "out.exr", ("--preset", "jaxblur", *FEW)
+    stereo(path, own=("depth", "vectors"))
+    scored = run("blur", path, "-o", out, "--png", "--truth", path, *few)
+    assert scored.out.splitlines()[:3] == [
+        *(str(out), str(tmp_path / "out.left.png"), str(tmp_path / "out.right.png"))
+    ]
+    rows = [line.split() for line in scored.out.splitlines()[4:]]
+    assert [row[:2] for row in rows] == [
+        [view, what] for view in ("left", "right") for what in ("input", "guertin2014")
+    ]
+    # The truth is the input, so that the sharp frame of each eye is the truth of that eye.
+    assert [row[2] == "inf" for row in rows] == [True, False, True, False]
+    for view in ("left", "right"):
+        shown = exr.read_image(tmp_path / f"out.{view}.png")
+        np.testing.assert_allclose(shown, exr.read_image(out, view), atol=0.01)
+    one = run("blur", path, "-o", tmp_path / "one.png", "--truth", path, "--views", "right", *few)
+    assert one.out.splitlines()[-2].split()[:2] == ["input", "inf"]
+    assert (tmp_path / "one.png").exists()
+
+
+def test_a_sequence_of_views_becomes_png_files_and_a_result(tmp_path):
+    few = ("--preset", "jaxblur", *FEW)
+    for number in (1, 2):
+        stereo(tmp_path / f"in.{number:04d}.exr", own=("depth", "vectors"))
+    names = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.png")
+    more = ("--truth", tmp_path / "in.####.exr", "--result", tmp_path / "result")
+    made = run("blur", *names, *more, *few)
+    assert made.status == 0, made.err
+    found = sorted(file.name for file in tmp_path.glob("*.png"))
+    assert found == [f"out.{view}.000{n}.png" for view in ("left", "right") for n in (1, 2)]
+    assert "mean   right guertin2014" in made.out
+    shots = read_result(tmp_path / "result").shots
+    assert [shot.name for shot in shots] == [
+        f"frame {number} {view}" for number in (1, 2) for view in ("left", "right")
+    ]
+    again = run("blur", *names, *few)
+    assert again.status == 0 and "2 kept" in again.out
+    write_single(tmp_path / "in.0003.exr", plain_frame(SHAPE))
+    third = run("blur", *names, *few)
+    assert third.status == 1 and "has other views than the first frame" in third.err
+
+
+def test_a_view_whose_name_leads_to_another_folder_names_no_file():
+    out = pathlib.Path("out.png")
+    arguments = argparse.Namespace(output=out, png=False)
+    with pytest.raises(CommandError, match=r"'\.\./right' is no name for a file; choose one view"):
+        outputs.files_of(arguments, out, ["left", "../right"])
+    dotted, joined, number = map(pathlib.Path, ("a.0011.png", "a_0011.png", "0011.png"))
+    files = [with_view(name, "left") for name in (dotted, joined, number)]
+    assert [str(file) for file in files] == ["a.left.0011.png", "a_left_0011.png", "0011.left.png"]
 
 
 def test_a_view_that_was_not_kept_is_not_asked_for(tmp_path):

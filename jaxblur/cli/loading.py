@@ -286,9 +286,12 @@ def read_truth(
     """
     from jaxblur import exr
 
-    info = exr.inspect(arguments.truth)
-    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
-    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    info, layer = exr.inspect(arguments.truth), arguments.truth_layer
+    if layer is None and arguments.layer in exr.views_of(info):
+        # A view is compared with the truth for the same eye.
+        layer = arguments.layer
+    channel = exr.choose_color(info, layer).channels[0]
+    truth = exr.read_image(arguments.truth, layer)
     if truth.shape[:2] != shape[:2]:
         (rows, columns), (height, width) = truth.shape[:2], shape[:2]
         raise CommandError(
