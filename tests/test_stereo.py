@@ -14,6 +14,7 @@ import jaxblur
 from jaxblur import exr
 from jaxblur.cli import outputs, views
 from jaxblur.cli.arguments import CommandError
+from jaxblur.cli.disparity import disparity_of
 from jaxblur.exr import choose
 from jaxblur.noise import make_noise
 from jaxblur.report import read_result
@@ -229,6 +230,52 @@ def test_samples_and_noise_of_a_view(tmp_path):
     assert 'view_samples = "right=3"' in settings and "disparity = 9.0" in settings
 
 
+def matrices(x, focal, shift, turn=0.0):
+    """Header attributes of a camera at ``x`` that looks along -z; ``shift`` moves its axis."""
+    height, width = SHAPE
+    turned = np.array(
+        [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+    )
+    to_camera = np.eye(4)
+    to_camera[:3, :3], to_camera[:3, 3] = turned, turned @ [-x, 0, 0]
+    projection = np.diag([2 * focal / width, 2 * focal / height, 1, 0])
+    projection[[0, 3], 2] = -2 * shift / width, -1
+    found = {"worldToCamera": to_camera, "worldToNDC": projection @ to_camera}
+    return {name: tuple(matrix.T.ravel().tolist()) for name, matrix in found.items()}
+
+
+@pytest.mark.parametrize(
+    ("focal", "shift", "turn"), [(40.0, 0.0, 0.0), (40.0, 3.0, 0.0), (40.0, 0.0, 0.1)]
+)
+def test_the_disparity_is_that_of_the_cameras_in_the_header(tmp_path, focal, shift, turn):
+    path, parts, distance = tmp_path / "in.exr", [], 0.6
+    for view, x, side in (("left", 1.0, -1), ("right", 1.0 + distance, 1)):
+        frame = plain_frame(SHAPE)
+        frame["Z"] = np.full(SHAPE, 8, np.float32)
+        spec = make_spec(frame, name=view, view=view)
+        for name, values in matrices(x, focal, side * shift / 2, side * turn).items():
+            spec.attribute(name, oiio.TypeDesc("matrix"), values)
+        parts.append((spec, frame))
+    write_parts(path, parts)
+    arguments = argparse.Namespace(input=path, disparity="cameras")
+    found = disparity_of(arguments, np.full(SHAPE, 8, np.float32))
+    if turn:
+        # The point on the axis of the right camera, as the left one sees it.
+        left, right = (
+            np.reshape(spec.getattribute("worldToCamera"), (4, 4)).T for spec, _ in parts
+        )
+        seen = left @ np.linalg.inv(right) @ [0, 0, -8, 1]
+        np.testing.assert_allclose(found[:, 7:9].mean(), focal * seen[0] / -seen[2], atol=0.02)
+        return
+    np.testing.assert_allclose(found, focal * distance / 8 - shift, rtol=1e-4)
+    given = f"{focal * distance},{focal * distance / shift if shift else np.inf}"
+    outs = [tmp_path / name for name in ("cameras.exr", "number.exr")]
+    for out, disparity in zip(outs, ("cameras", given), strict=True):
+        assert run("blur", path, "-o", out, "--disparity", disparity, *FEW).status == 0
+    by_cameras, by_number = (exr.read_image(out, "right") for out in outs)
+    np.testing.assert_allclose(by_cameras, by_number, atol=1e-5)
+
+
 def test_a_sequence_blurs_all_views_as_single_frames_do(tmp_path):
     for number in (1, 2):
         stereo(tmp_path / f"in.{number:04d}.exr", own=("depth", "vectors"))
@@ -302,7 +349,8 @@ def test_post_takes_all_views(tmp_path):
         (None, ("--view-samples", "right=0"), ("--view-samples", "from 1")),
         (None, ("--view-samples", "right=9", "--plan", "auto"), ("--plan chooses the samples",)),
         (None, ("--disparity", "9", "--layer", "left"), ("--disparity", "no views are blurred")),
-        (None, ("--disparity", "9,0"), ("expected PX or PX,DISTANCE",)),
+        (None, ("--disparity", "9,0"), ("expected cameras, PX or PX,DISTANCE",)),
+        (None, ("--disparity", "cameras"), ("no worldToCamera and worldToNDC in the header",)),
         (None, ("--views", "middle"), ("no view 'middle' with color", "takes left, right")),
         (None, ("--truth", "flat.exr"), ("truth: no view 'left'", "one view with --views left")),
         (None, ("--truth", "in.exr", "--truth-layer", "left"), ("--truth-layer: each of the",)),

@@ -12,6 +12,7 @@ from jaxblur.settings import Settings
 from . import layer_reading, posts, sources, stack, strength
 from .arguments import CommandError
 from .colors import shown_colors
+from .disparity import disparity_of
 from .shutter import Exposure
 
 LOG = logging.getLogger("jaxblur")
@@ -213,19 +214,8 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         ranks=source.ranks,
         selects=source.selects,
         layers=source.layers,
-        disparity=_disparity(arguments, buffers.depth),
+        disparity=disparity_of(arguments, buffers.depth),
     )
-
-
-def _disparity(arguments: argparse.Namespace, depth: Any) -> Any:
-    """Pixels by which the left view shows farther to the right what a right view shows."""
-    if getattr(arguments, "disparity", None) is None:
-        return None
-    import numpy as np
-
-    # Focal length times distance of the eyes, and where the eyes converge.
-    at_one, distance = arguments.disparity
-    return np.float32(at_one) * (1 / depth - np.float32(1 / distance))
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:

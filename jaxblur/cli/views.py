@@ -3,13 +3,13 @@
 import argparse
 import dataclasses
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import posts
 from .arguments import CommandError, channel_names, positive_integer
 from .choice import Choice
+from .disparity import CAMERAS, disparity
 from .filtering import find_filter
 from .loading import Loaded
 
@@ -54,11 +54,12 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
     )
     group.add_argument(
         "--disparity",
-        type=_disparity,
-        metavar="PX[,DISTANCE]",
-        help="share the noise of views left and right on the surfaces that both see: distance of "
-        "the eyes times focal length in pixels, the disparity at depth 1, and the depth at which "
-        "the eyes converge (default inf); without it each view has noise of its own",
+        type=disparity,
+        metavar="cameras|PX[,DISTANCE]",
+        help="share the noise of views left and right on the surfaces that both see: by "
+        "worldToCamera and worldToNDC in the header of each view, or by distance of the eyes times "
+        "focal length in pixels, the disparity at depth 1, and the depth at which the eyes "
+        "converge (default inf); without it each view has noise of its own",
     )
 
 
@@ -340,7 +341,9 @@ def notes(views: Sequence[argparse.Namespace]) -> Mapping[str, Any]:
     if first.view_samples:
         found["view_samples"] = ", ".join(f"{k}={v}" for k, v in first.view_samples.items())
     shared = next((each.disparity for each in views if each.disparity), None)
-    if shared:
+    if shared == CAMERAS:
+        found["disparity"] = shared
+    elif shared:
         found |= {"disparity": shared[0], "convergence": shared[1]}
     return found
 
@@ -358,21 +361,3 @@ def _samples(text: str) -> dict[str, int]:
             raise argparse.ArgumentTypeError(f"expected NAME=N[,NAME=N], got {text!r}")
         found[name.strip()] = positive_integer(count)
     return found
-
-
-def _disparity(text: str) -> tuple[float, float]:
-    """Parse ``--disparity``.
-
-    Raises:
-        ArgumentTypeError: it has another form.
-    """
-    first, comma, second = text.partition(",")
-    try:
-        at_one, distance = float(first), float(second) if comma else math.inf
-    except ValueError:
-        at_one = distance = math.nan
-    if not (math.isfinite(at_one) and at_one != 0 and distance > 0):
-        raise argparse.ArgumentTypeError(
-            f"expected PX or PX,DISTANCE, the distance above 0, got {text!r}"
-        )
-    return at_one, distance
