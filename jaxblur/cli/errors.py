@@ -28,13 +28,22 @@ def place_in_filter(error: BaseException) -> str:
     Returns:
         The innermost line of a file that registered a filter; empty if none is concerned.
     """
-    from jaxblur.filters.registry import modules_of_others
+    if isinstance(error, CommandError | JaxblurIOError):
+        return ""
+    from jaxblur.filters.registry import filter_info, names
 
-    modules = modules_of_others()
+    functions = [filter_info(name).function for name in names()]
+    modules = {
+        function.partition(":")[0]
+        if isinstance(function, str)
+        else getattr(function, "__module__", "")
+        for function in functions
+    }
+    others = {module for module in modules if module.partition(".")[0] != "jaxblur"}
     places = [
         f"{frame.f_code.co_filename}:{line}"
         for frame, line in traceback.walk_tb(error.__traceback__)
-        if frame.f_globals.get("__name__") in modules
+        if frame.f_globals.get("__name__") in others
     ]
     return places[-1] if places else ""
 

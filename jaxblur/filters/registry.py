@@ -317,17 +317,6 @@ def names() -> tuple[str, ...]:
     return tuple(_with_plugins())
 
 
-def modules_of_others() -> frozenset[str]:
-    """The names of the modules, outside of this package, that registered filters."""
-    found = (
-        info.function.partition(":")[0]
-        if isinstance(info.function, str)
-        else getattr(info.function, "__module__", "")
-        for info in _registered.values()
-    )
-    return frozenset(name for name in found if name.partition(".")[0] != "jaxblur")
-
-
 def load_filter(reference: str) -> FilterInfo:
     """Import a file that registers a filter.
 

@@ -122,9 +122,9 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--plan",
         choices=("auto", "perceptual"),
-        help="choose filter, settings and parameters by statistics of the frame, and say why: "
-        "auto by PSNR, perceptual by what viewers of clips see (JOD); replaces all filter "
-        "options, which are rejected beside it",
+        help="choose filter, settings and parameters by statistics of the frame, of a sequence for "
+        "each frame anew; -v says why: auto by PSNR, perceptual by what viewers of clips see "
+        "(JOD); replaces all filter options, which are rejected beside it",
     )
     group.add_argument(
         "--tolerance",
