@@ -327,7 +327,7 @@ def test_each_frame_has_its_own_plan(shot):
     outcome = run(*command[:4], "--plan", "auto", "--frames", "1001-1002")
     assert outcome.status == 0, outcome.err
     (said,) = [line for line in outcome.err.splitlines() if "plan: " in line]
-    assert said.endswith("lose at most 0.5 dB") and len(said) < 100
+    assert said.endswith("stay within 0.5 dB") and len(said) < 100
     assert "2 kept" in run(*command[:4], "--plan", "auto", "--frames", "1001-1002").out
 
 

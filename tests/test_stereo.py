@@ -384,7 +384,15 @@ def test_other_refusals_of_views(tmp_path):
 def test_each_view_gets_a_png_and_is_scored_against_the_truth_for_its_eye(tmp_path):
     path, out, few = tmp_path / "in.exr", tmp_path / "out.exr", ("--preset", "jaxblur", *FEW)
     stereo(path, own=("depth", "vectors"))
-    scored = run("blur", path, "-o", out, "--png", "--truth", path, *few)
+    (tmp_path / "out.right.png").touch()
+    command = ("blur", path, "-o", out, "--png", "--overwrite", *few)
+    planned = run(*command, "--dry-run")
+    assert [line.split()[0] for line in planned.out.splitlines()] == [
+        *("action", "read", "blur", "write", "write", "replace")
+    ]
+    assert planned.status == 0 and "guertin2014, 5 samples, radius 4 px" in planned.out
+    assert not out.exists()
+    scored = run(*command, "--truth", path)
     assert scored.out.splitlines()[:3] == [
         *(str(out), str(tmp_path / "out.left.png"), str(tmp_path / "out.right.png"))
     ]

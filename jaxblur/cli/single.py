@@ -6,6 +6,7 @@ import itertools
 import logging
 import pathlib
 import time
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from . import blurring, mattes, outputs, programs, results, stack, strength, views
@@ -60,6 +61,9 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         outputs.warn_of_double_blur(eye)
     check_outputs(files, arguments.overwrite)
     mattes.warn_of_sharp(arguments, arguments.input)
+    if arguments.dry_run:
+        _print_plan(asked, arguments, dict.fromkeys(read_files), files)
+        return 0
     started = time.perf_counter()
     exposed = _load_views(arguments, asked, eyes)
     read = time.perf_counter()
@@ -77,6 +81,25 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
     report_ignored(arguments.input, whole.buffers.ignored)
     _report_scores(arguments, chosen, eyes, made)
     return 0
+
+
+def _print_plan(
+    asked: Choice,
+    arguments: argparse.Namespace,
+    read_files: Iterable[pathlib.Path],
+    files: Sequence[pathlib.Path],
+) -> None:
+    """Print what would be read, done and written."""
+    method = f"--plan {arguments.plan}"
+    if not arguments.plan:
+        radius = "auto" if arguments.radius == 0 else f"{asked.settings.radius} px"
+        method = f"{asked.name}, {asked.settings.samples} samples, radius {radius}"
+    rows = [
+        *(("read", path) for path in read_files),
+        ("blur", method),
+        *(("replace" if path.exists() else "write", path) for path in files),
+    ]
+    print_table(("action", "what"), rows)
 
 
 def _report_scores(

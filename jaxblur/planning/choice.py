@@ -162,7 +162,7 @@ def plan(
         why = f"the least expected loss of those within {budget_ms:g} ms"
     else:
         chosen = min(allowed, key=lambda c: (c.milliseconds, c.safe_loss))
-        why = f"the fastest expected to lose at most {within}"
+        why = f"the fastest expected to stay within {within}"
     return _make_plan(chosen, statistics, why, _reason(chosen, statistics))
 
 

@@ -20,6 +20,12 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         "changed (the default without --overwrite); any other file in the place of an output is "
         "an error",
     )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print what would be read and written, of a sequence what would be done with each "
+        "frame, and write nothing",
+    )
     group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
     group.add_argument(
         "-F",
@@ -46,7 +52,6 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         action="store_true",
         help="accept frames of another size than most (otherwise they give exit status 1)",
     )
-    group.add_argument("--dry-run", action="store_true", help="print the plan, write nothing")
     group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
     group.add_argument(
         "--scheduler",
@@ -75,7 +80,7 @@ def refuse_options(arguments: argparse.Namespace) -> None:
     Raises:
         CommandError: one is given.
     """
-    options = ("cut", "dry_run", "json", "skip_existing", "scheduler", "workers", "neighbors")
+    options = ("cut", "json", "skip_existing", "scheduler", "workers", "neighbors")
     for name in options:
         if getattr(arguments, name):
             raise CommandError(
