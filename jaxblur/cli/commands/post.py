@@ -102,10 +102,11 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
     """The work on every frame."""
     from jaxblur.sequence import has_frame_number, parse_names
 
-    from ..sequence import frames_on_disk
+    from ..sequence import frames_on_disk, refuse_shell_pattern
 
     depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
+        refuse_shell_pattern(arguments.input)
         return [_job(arguments, arguments.input, depth, arguments.output)]
     sources, outputs = parse_names(arguments.input), parse_names(arguments.output)
     depths = parse_names(depth) if has_frame_number(depth) else None

@@ -1,8 +1,13 @@
 """The options that only sequences have, and whether a sequence is given."""
 
 import argparse
+import glob
+import pathlib
+import re
+from collections.abc import Iterable
 from typing import Any
 
+from .. import stack
 from ..arguments import CommandError, frame_numbers, positive_integer
 
 
@@ -74,12 +79,36 @@ def is_asked_for(arguments: argparse.Namespace) -> bool:
     return arguments.frames is not None or has_frame_number(arguments.input)
 
 
+def pattern_of(names: Iterable[str]) -> str:
+    """The pattern of a sequence that files belong to, by their last numbers; empty if none."""
+    patterns = {re.sub(r"\d+(?=\D*$)", lambda found: "#" * len(found[0]), n) for n in names}
+    pattern = patterns.pop() if len(patterns) == 1 else ""
+    return pattern if "#" in pattern else ""
+
+
+def refuse_shell_pattern(path: pathlib.Path) -> None:
+    """Reject names that only a shell would expand, where a sequence is meant.
+
+    Raises:
+        CommandError: there is no such file, and its name holds ``*``, ``?`` or ``[``.
+    """
+    if path.exists() or not set(path.name) & set("*?["):
+        return
+    found = pattern_of(sorted(glob.glob(str(path))))
+    raise CommandError(
+        f"{path}: no such file, and the shell has not replaced it; the frames of a sequence are "
+        f"named by one pattern, in quotes: '{found or 'name.####.exr'}'."
+    )
+
+
 def refuse_options(arguments: argparse.Namespace) -> None:
-    """Reject options of sequences for a single frame.
+    """Reject options and names of sequences for a single frame.
 
     Raises:
         CommandError: one is given.
     """
+    for role in stack.roles(arguments):
+        refuse_shell_pattern(getattr(arguments, role))
     options = ("cut", "json", "skip_existing", "scheduler", "workers", "neighbors")
     for name in options:
         if getattr(arguments, name):
