@@ -432,6 +432,17 @@ def test_a_sequence_of_views_becomes_png_files_and_a_result(tmp_path):
     assert third.status == 1 and "has other views than the first frame" in third.err
 
 
+def test_the_header_of_a_frame_is_read_once_for_all_of_its_views(tmp_path, monkeypatch):
+    path, opened, inspect = tmp_path / "in.exr", [], exr.inspect
+    stereo(path, own=("depth", "vectors"))
+    monkeypatch.setattr(exr, "inspect", lambda p: opened.append(p) or inspect(p))
+    nothing = ("layer", "color_channels", "velocity_channels", "depth_channel", "truth")
+    nothing += ("velocity_from", "depth_from", "views", "view_samples", "disparity", "seed")
+    given: dict[str, Any] = {"input": path, "preset": "auto", "depth": "auto"}
+    eyes = views.each(argparse.Namespace(**given, **dict.fromkeys(nothing)))
+    assert [eye.layer for eye in eyes] == ["left", "right"] and opened == [path]
+
+
 def test_a_view_whose_name_leads_to_another_folder_names_no_file():
     out = pathlib.Path("out.png")
     arguments = argparse.Namespace(output=out, png=False)

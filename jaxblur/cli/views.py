@@ -153,7 +153,9 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
         given = (getattr(arguments, name, None) for name in ("stack", *ONE_VIEW))
         names = [] if any(given) or len(colored) < 2 else colored
     elif not colored:
-        raise exr.JaxblurIOError(info.path, "no views with color; leave out --views.")
+        raise exr.JaxblurIOError(
+            info.path, "no views with color; leave out --views, or name a layer by --layer."
+        )
     else:
         names = colored if asked == ALL else list(dict.fromkeys(asked))
     for name in names:
