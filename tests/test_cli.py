@@ -353,6 +353,13 @@ def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
         ),
         (("blur", "a.exr", "b.exr", "-o", "c.exr"), "as one pattern, in quotes: 'name.####.exr'"),
         (("blur", "-o", "c.exr", "a.exr", "b.exr"), "unexpected b.exr: "),
+        (
+            ("blur", CAR.parent / "cube_over_crates_frame_*.exr", "-o", "b.exr"),
+            "sequence are named by one pattern, in quotes: "
+            f"'{CAR.parent / 'cube_over_crates_frame_####.exr'}'.",
+        ),
+        (("post", "a?.exr", "-o", "b.exr", "--do", "fxaa"), "a?.exr: no such file, and the shell"),
+        (("layers", "a.exr", "b*.exr", "-o", "c.exr"), "in quotes: 'name.####.exr'"),
         (("blur", "a.exr", "b.exr", "-o", "c.exr"), "`jaxblur layers FRONT.exr BACK.exr -o OUT"),
     ],
 )

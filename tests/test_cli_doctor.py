@@ -62,6 +62,8 @@ def test_the_text_names_everything(small):
     rows = {line[:16].strip(): line[16:] for line in lines}
     assert rows["jaxblur"].startswith(f"{jaxblur.__version__} in ")
     assert rows["cache"].endswith("1 kernels, 2.0 MB; 1 programs of XLA, 1.0 MB")
+    assert " (used): 1 kernels" in rows["cache"]
+    assert ", OpenEXR inside OpenImageIO 3." in rows["packages"]
     assert {"Python", "system", "packages", "compiler", "devices", "browser"} <= set(rows)
     assert {f"extra {name}" for name in doctor.EXTRAS} <= set(rows)
     assert "pixel_velocity, 48x32" in rows["xla test"]

@@ -45,7 +45,7 @@ def test_it_fits_reports_and_writes(fitted):
     assert result.parameters["gamma"] == 2 and result.published["gamma"] == 1.5
     assert result.history["loss"][-1] < result.history["loss"][0]
     assert f"{out}\n" in outcome.out
-    for words in ("held-out", "published", "± standard error", "held"):
+    for words in ("held-out", "default", "± standard error", "held"):
         assert words in outcome.out
     stages = [name for name in STAGES if name != "Newton steps"]
     assert f"starting; stages: {', '.join(STAGES)}\n" in outcome.err

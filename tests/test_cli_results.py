@@ -43,7 +43,9 @@ def test_a_sequence_becomes_a_shot_for_each_frame(tmp_path):
         *("blur", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", *OPTIONS),
         *("--truth", tmp_path / "truth.####.exr", "--result", tmp_path / "result"),
     )
-    assert run(*command).status == 0
+    made = run(*command)
+    assert made.status == 0 and made.err.count("color: ") == 1, "not once more for the result"
+    assert "mean   pixel_velocity" in made.out
     written = read_result(tmp_path / "result")
     assert [shot.name for shot in written.shots] == ["frame 1", "frame 2"]
     assert written.shots[1].pictures[1].settings["radius"] == 20

@@ -25,6 +25,7 @@ def blurred(tmp_path, *options):
         (("--shutter", "0.02s", "--fps", "25"), 0.5),
         (("--shutter", "3frames"), 3.0),
         (("--shutter", "2"), 2.0),
+        (("--shutter", "1/2"), 0.5),
     ],
 )
 def test_every_form_is_the_same_exposure(tmp_path, options, frames):
@@ -39,6 +40,7 @@ def test_every_form_is_the_same_exposure(tmp_path, options, frames):
     [
         (("--shutter", "180"), "180deg is a shutter angle, 0.5 frames; pass 180frames"),
         (("--shutter", "1/48s"), "--shutter: 0.0208333 s is how many frames? Pass --fps"),
+        (("--shutter", "1/48"), "1/48s with --fps is a shutter speed in seconds; pass 0.0208 if"),
         (("--shutter", "1/0s"), "expected an exposure"),
         (("--shutter", "nan"), "expected an exposure"),
         (("--shutter", "half"), "expected an exposure"),

@@ -9,6 +9,7 @@ import pytest
 
 import jaxblur
 from experiments import common
+from jaxblur.planning import constants
 from tests.helpers import random_frame
 from tests.planted import SETTINGS, SHAPE, TRUE, smooth_frame
 
@@ -70,6 +71,20 @@ def test_regression_finds_a_planted_rule():
     assert rules.left_out_spread(features, features @ rule, groups) < 1e-2
     noisy = features @ rule + 0.3 * generator.normal(size=400)
     assert rules.left_out_spread(features, noisy, groups) == pytest.approx(0.3, rel=0.1)
+
+
+def test_rules_in_jod_stay_where_those_in_decibels_are_derived_anew():
+    old = constants()
+    new = {k: v for k, v in old.items() if not k.startswith("jod")} | {
+        "candidates": {
+            label: {k: v for k, v in record.items() if not k.startswith("jod")} | {"spread": 7.0}
+            for label, record in old["candidates"].items()
+        }
+    }
+    kept = rules.with_rules_in_jod(new, old)
+    assert kept["jod_command"] == old["jod_command"]
+    for label, record in old["candidates"].items():
+        assert kept["candidates"][label] == record | {"spread": 7.0}
 
 
 def test_jitter_keeps_its_spacings_at_other_numbers_of_samples():

@@ -233,8 +233,8 @@ def test_a_step_is_told_with_the_parameters_that_its_loss_belongs_to():
             assert progress.parameters[name] == pytest.approx(result.history[name][index])
 
 
-def scored(part, label, psnr, ssim, flip, region="moving"):
-    return Score("a", part, label, region, 0.1, 0.1, psnr, ssim, flip)
+def scored(part, label, psnr, ssim, flip, region="moving", errors=(0.0, 0.0, 0.0)):
+    return Score("a", part, label, region, 0.1, 0.1, psnr, ssim, flip, *errors)
 
 
 def test_scores_that_got_worse_are_said():
@@ -249,11 +249,26 @@ def test_scores_that_got_worse_are_said():
         ),
     )
     assert result.losses_by_fitting() == (
-        "train: FLIP is worse with the fitted parameters than with the published ones, 0.1203 "
+        "train: FLIP is worse with the fitted parameters than with the defaults, 0.1203 "
         "against 0.1000",
-        "held-out: PSNR in dB is worse with the fitted parameters than with the published ones, "
+        "held-out: PSNR in dB is worse with the fitted parameters than with the defaults, "
         "27.50 against 28.00",
     )
+
+
+def test_scores_that_differ_by_their_noise_are_not_said():
+    errors = (0.1, 0.0, 0.01)
+    result = dataclasses.replace(
+        quick_fit(steps=1, optimizer=STILL),
+        scores=(
+            scored("train", "published", 30.0, 0.9, 0.10, errors=errors),
+            scored("train", "fitted", 29.75, 0.9, 0.14, errors=errors),
+        ),
+    )
+    # Twice the standard error of a difference: 0.28 dB, and 0.028 in FLIP.
+    (said,) = result.losses_by_fitting()
+    assert said.startswith("train: FLIP is worse")
+    assert all(score.psnr_error > 0 for score in quick_fit(steps=1).scores)
 
 
 def test_a_held_out_error_that_got_worse_is_in_the_warnings(tmp_path):

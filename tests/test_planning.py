@@ -252,7 +252,8 @@ def test_the_command_line_plans_and_says_why(tmp_path):
     outcome = run("blur", CAR, "-o", out, "--plan", "auto", "--tolerance", "1")
     assert outcome.status == 0, outcome.err
     chosen = plan(jaxblur.read_frame(CAR), tolerance_db=1)
-    assert f"jaxblur: plan: {chosen.reason}" in outcome.err
+    assert f"jaxblur: plan: {chosen.summary}\n" in outcome.err
+    assert chosen.reason.startswith(chosen.summary) and chosen.reason not in outcome.err
     attributes = inspect(out).parts[0].attributes
     assert attributes["jaxblur:filter"] == chosen.filter
     assert f"samples = {chosen.settings.samples}\n" in attributes["jaxblur:settings"]
@@ -270,7 +271,7 @@ def test_the_command_line_plans_by_what_viewers_see(tmp_path, given, tolerance):
     outcome = run("blur", CAR, "-o", out, "--plan", "perceptual", *given)
     assert outcome.status == 0, outcome.err
     chosen = plan(jaxblur.read_frame(CAR), tolerance_jod=tolerance)
-    assert f"jaxblur: plan: {chosen.reason}" in outcome.err
+    assert f"jaxblur: plan: {chosen.summary}\n" in outcome.err
     assert inspect(out).parts[0].attributes["jaxblur:filter"] == chosen.filter
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import pathlib
 import subprocess
 import sys
 import tomllib
@@ -19,7 +20,7 @@ from jaxblur.filters import FILTERS
 from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names, register
 from jaxblur.fitting import FitResult
 from tests.command_line import refused, run
-from tests.exr_files import CAR
+from tests.exr_files import CAR, plain_frame, write_single
 from tests.helpers import random_frame, registered
 
 FILE = """
@@ -247,6 +248,31 @@ def test_another_name_than_the_file_registers_is_rejected(brighten):
     assert message[:-1] in refused("blur", CAR, "-o", "x.exr", "--filter", path)
     with pytest.raises(ValueError, match=r"must be a name, or path/to/file.py:name"):
         load_filter("file:name")
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero; -v shows"),
+        ("frame.color + frame.depth", "ncompatible shapes"),
+        ("if frame.depth[0, 0] > 1: pass", "take jnp.where in place of `if`"),
+        ("numpy.asarray(frame.depth)", "take jax.numpy in place of numpy; -v shows"),
+    ],
+)
+def test_a_fault_in_a_filter_of_ones_own_is_one_line_that_names_its_place(
+    tmp_path, brighten, fault, words
+):
+    path, _, name = brighten.rpartition(":")
+    jitted = "import functools, numpy\n@functools.partial(jax.jit, static_argnames='settings')\n"
+    text = FILE.replace("NAME", name).replace("def brighten", f"{jitted}def brighten")
+    text = text.replace("    return", f"    {fault}\n    return")
+    pathlib.Path(path).write_text(text, encoding="utf-8")
+    line = next(number for number, row in enumerate(text.splitlines(), 1) if fault in row)
+    frame = write_single(tmp_path / "in.exr", plain_frame((4, 5)))
+    command = ("blur", frame, "-o", tmp_path / "out.exr", "--filter", brighten)
+    message = refused(*command)
+    assert f"{path}:{line}: " in message and words in message
+    assert "Traceback" in run(*command, "-v").err
 
 
 @pytest.mark.slow

@@ -315,3 +315,23 @@ def test_colors_follow_the_system(page, scheme, dark):
     assert (light[0] < light[1]) == dark and abs(light[0] - light[1]) > 400
     scroll = page.evaluate("getComputedStyle(document.documentElement).scrollBehavior")
     assert scroll == "auto"
+
+
+def test_without_times_there_is_no_plot_and_names_in_tables_stay_whole(browser, tmp_path):
+    name = "seq_0040_shot_0120_beauty_v003.1001.exr"
+    settings = {f"a_long_setting_{number}": "a value" for number in range(12)}
+    shot = Shot(name, ramp(2), [Picture("layered", ramp(0), settings=settings)])
+    write_result(tmp_path, "no times", [shot])
+    path = tmp_path / "page.html"
+    path.write_text(build_page(read_result(tmp_path)).html, encoding="utf-8")
+    with browser.new_context(viewport={"width": 1400, "height": 900}) as context:
+        page = context.new_page()
+        page.goto(path.as_uri())
+        drawn(page)
+        assert page.get_by_text("Speed against error").count() == 0
+        whole = page.locator("td", has_text=name).or_(page.locator(".setting"))
+        lines = whole.evaluate_all(
+            "all => all.map(e => { const r = document.createRange(); r.selectNodeContents(e);"
+            "return r.getClientRects().length; })"
+        )
+        assert len(lines) > 12 and set(lines) == {1}

@@ -7,6 +7,11 @@ import pytest
 run = importlib.import_module("experiments.022_subframes.run")
 
 
+def test_filters_are_tried_with_fewer_subframes_than_the_mean():
+    assert list(run.methods(run.MOST)) == list(run.METHODS)
+    assert list(run.methods(run.MOST + 1)) == ["mean of the renders"]
+
+
 @pytest.mark.slow
 def test_the_error_falls_with_the_number_of_subframes(monkeypatch):
     monkeypatch.setattr(run, "SIZE", (36, 64))

@@ -4,8 +4,8 @@
 
 Candidates of guertin2014 are fitted to catalogue scenes at 15 samples. All candidates are scored on
 these scenes at several numbers of samples and two shutters, and a ridge regression predicts the
-loss of each. Writes ``constants.json``, which belongs in the package; ``derive_perceptual`` then
-adds the rules in JOD, and ``validate_plan`` tries it.
+loss of each. Writes ``constants.json``, which belongs in the package, with the rules in JOD that
+the package has; ``derive_perceptual`` then makes these anew, and ``validate_plan`` tries it.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from experiments.common import Example
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.fitting.objective import draw_noise
 from jaxblur.metrics import display, motion_footprint, psnr
-from jaxblur.planning import FrameStatistics, frame_statistics
+from jaxblur.planning import FrameStatistics, constants, frame_statistics
 
 DERIVED_FROM = (
     *("camera_dolly", "camera_turn", "zoom", "uniform_pan", "cube_between_crates", "crossing"),
@@ -207,6 +207,22 @@ def derive(
     }
 
 
+def with_rules_in_jod(known: Mapping[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:
+    """Constants with the rules in JOD of earlier ones, until `derive_perceptual` makes them anew.
+
+    Args:
+        known: as `derive` gives them.
+        earlier: those of the package.
+    """
+    candidates = {
+        label: record
+        | {k: v for k, v in earlier["candidates"].get(label, {}).items() if k.startswith("jod")}
+        for label, record in known["candidates"].items()
+    }
+    command = {k: v for k, v in earlier.items() if k.startswith("jod")}
+    return {**known, **command, "candidates": candidates}
+
+
 def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
@@ -221,6 +237,7 @@ def main() -> None:
     training = examples[-len(DERIVED_FROM) :]
     parameters = {label: fitted(c, training) for label, c in CANDIDATES.items()}
     known = derive(parameters, examples, rates(parameters, training, 9))
+    known = with_rules_in_jod(known, constants())
     text = json.dumps(known, indent=1) + "\n"
     (options.output / "constants.json").write_text(text, encoding="utf-8")
 

@@ -9,7 +9,7 @@ import functools
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ SIZE = (180, 320)
 SHUTTER = 1.0
 COUNTS = (1, 2, 4, 8, 16, 32)
 MOST = 8
-"""Above this K only the mean of the renders is taken."""
+"""Largest K for the filters; the mean of the renders is taken of any."""
 TRUTH_SAMPLES = 1024
 SETTINGS = jaxblur.Settings(samples=35, radius=60, fetch="bilinear")
 REPEATS = 5
@@ -33,18 +33,40 @@ CUT = np.s_[:, :160]
 """What the picture shows."""
 FLOOR = "still and sharp"
 
-METHODS: dict[str, Callable[[Sequence[jaxblur.Frame]], Any]] = {
-    "mean of the renders": lambda parts: jnp.mean(jnp.stack([p.color for p in parts]), axis=0),
-    "guertin2014": lambda parts: jaxblur.blur_subframes(
-        "guertin2014", parts, settings=jaxblur.GuertinSettings(**vars(SETTINGS))
+Blur = Callable[[Sequence[jaxblur.Frame]], Any]
+
+
+class Method(NamedTuple):
+    """A way to make one picture of sub-frames.
+
+    Attributes:
+        blur: function of the sub-frames that gives the picture.
+        most: largest number of sub-frames that it is tried with.
+    """
+
+    blur: Blur
+    most: int
+
+
+METHODS = {
+    "mean of the renders": Method(
+        lambda parts: jnp.mean(jnp.stack([p.color for p in parts]), axis=0), max(COUNTS)
     ),
-    "layered": lambda parts: jaxblur.blur_subframes("layered", parts, settings=SETTINGS),
+    "guertin2014": Method(
+        lambda parts: jaxblur.blur_subframes(
+            "guertin2014", parts, settings=jaxblur.GuertinSettings(**vars(SETTINGS))
+        ),
+        MOST,
+    ),
+    "layered": Method(
+        lambda parts: jaxblur.blur_subframes("layered", parts, settings=SETTINGS), MOST
+    ),
 }
 
 
-def methods(count: int) -> dict[str, Callable[[Sequence[jaxblur.Frame]], Any]]:
+def methods(count: int) -> dict[str, Blur]:
     """The methods that are tried with so many sub-frames."""
-    return {name: blur for name, blur in METHODS.items() if count <= MOST or "mean" in name}
+    return {name: method.blur for name, method in METHODS.items() if count <= method.most}
 
 
 def subframes(scene: Any, count: int) -> list[jaxblur.Frame]:

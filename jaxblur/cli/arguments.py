@@ -114,7 +114,8 @@ def add_command(commands: Any, name: str, summary: str, run: Any) -> Parser:
         "--verbose",
         action="count",
         default=0,
-        help="say more on stderr; -vv also where an error came from",
+        help="say more on stderr, and where an error in a filter of your own came from; -vv also "
+        "where others did",
     )
     loudness.add_argument("-q", "--quiet", action="store_true", help="errors only on stderr")
     return parser

@@ -118,10 +118,14 @@ def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:
         whose = file
         said, remedy = f"of {file.name}", f"add frame {number} and one beside it to {file}"
     else:
-        views: dict[int, Any] = {0: _header_view(path)}
+        views: dict[int, Any] = {0: _header_view(path, arguments.layer)}
         for side in (-1, 1):
             beside = numbers[side]
-            views[side] = None if beside is None else _header_view(with_frame_number(path, beside))
+            if beside is not None:
+                near = with_frame_number(path, beside)
+                views[side] = _header_view(near, arguments.layer)
+            else:
+                views[side] = None
         said, whose = "of the headers", path
         remedy = "take --camera fit, which finds it from the vectors, or --camera FILE.json"
         if arguments.camera != "header" and (views[0] is None or views[-1] is views[1] is None):
@@ -132,14 +136,14 @@ def _matrices(arguments: argparse.Namespace, buffers: Any) -> Any:
     return said, _motion_of(whose, views, buffers)
 
 
-def _header_view(path: pathlib.Path) -> Any:
-    """The camera in the header of a file, if there is one."""
+def _header_view(path: pathlib.Path, view: str | None) -> Any:
+    """The camera in the header of a file, that of a view if it has one of its own, or None."""
     from jaxblur import exr
 
     if not path.is_file():
         return None
     info = exr.inspect(path)
-    return exr.header_camera(info) if exr.has_camera(info) else None
+    return exr.header_camera(info, view) if exr.has_camera(info) else None
 
 
 def _motion_of(path: pathlib.Path, views: dict[int, Any], buffers: Any) -> Any:

@@ -102,7 +102,9 @@ def _planned(arguments: argparse.Namespace, buffers: Any) -> Choice:
         chosen = plan(buffers.frame(), arguments.budget, **tolerance)
     except ValueError as error:
         raise CommandError(f"--plan {arguments.plan}: {error}") from error
-    LOG.info("plan: %s", chosen.reason)
+    # In a sequence every choice is said once, since the line is the same for its frames.
+    LOG.info("plan: %s", chosen.summary)
+    LOG.debug("plan: %s", chosen.reason)
     values = {} if chosen.parameters is None else dataclasses.asdict(chosen.parameters)
     return Choice(chosen.filter, values, chosen.settings)
 

@@ -12,6 +12,7 @@ from jaxblur.settings import Settings
 from . import layer_reading, posts, sources, stack, strength
 from .arguments import CommandError
 from .colors import shown_colors
+from .disparity import disparity_of
 from .shutter import Exposure
 
 LOG = logging.getLogger("jaxblur")
@@ -213,19 +214,8 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         ranks=source.ranks,
         selects=source.selects,
         layers=source.layers,
-        disparity=_disparity(arguments, buffers.depth),
+        disparity=disparity_of(arguments, buffers.depth),
     )
-
-
-def _disparity(arguments: argparse.Namespace, depth: Any) -> Any:
-    """Pixels by which the left view shows farther to the right what a right view shows."""
-    if getattr(arguments, "disparity", None) is None:
-        return None
-    import numpy as np
-
-    # Focal length times distance of the eyes, and where the eyes converge.
-    at_one, distance = arguments.disparity
-    return np.float32(at_one) * (1 / depth - np.float32(1 / distance))
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:
@@ -286,9 +276,12 @@ def read_truth(
     """
     from jaxblur import exr
 
-    info = exr.inspect(arguments.truth)
-    channel = exr.choose_color(info, arguments.truth_layer).channels[0]
-    truth = exr.read_image(arguments.truth, arguments.truth_layer)
+    info, layer = exr.inspect(arguments.truth), arguments.truth_layer
+    if layer is None and arguments.layer in exr.views_of(info):
+        # A view is compared with the truth for the same eye.
+        layer = arguments.layer
+    channel = exr.choose_color(info, layer).channels[0]
+    truth = exr.read_image(arguments.truth, layer)
     if truth.shape[:2] != shape[:2]:
         (rows, columns), (height, width) = truth.shape[:2], shape[:2]
         raise CommandError(

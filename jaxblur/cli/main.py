@@ -34,7 +34,7 @@ from .commands import (
     vectors,
     votes,
 )
-from .errors import is_foreseeable, message_of
+from .errors import is_foreseeable, message_of, place_in_filter
 from .interrupts import never_lost, with_termination
 
 LOG = logging.getLogger("jaxblur")
@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         except Exception as error:
             if not is_foreseeable(error):
                 raise
-            if options.get("verbose", 0) > 1:
+            if options.get("verbose", 0) > (0 if place_in_filter(error) else 1):
                 LOG.debug("%s", traceback.format_exc().rstrip())
             LOG.error("%s", in_option_names(message_of(error), options))
             return USAGE

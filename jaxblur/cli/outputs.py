@@ -4,12 +4,13 @@ import argparse
 import dataclasses
 import logging
 import pathlib
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jaxblur
 
-from . import posts, sources, stack
+from . import posts, sources, stack, views
 from .arguments import CommandError, check_parent, file_path
 from .choice import PASSED_THROUGH, Choice
 from .filtering import takes_neighbors
@@ -42,13 +43,18 @@ def add_output_option(parser: argparse.ArgumentParser) -> None:
         type=file_path,
         required=True,
         metavar="OUT",
-        help=f".exr, or .png ({PNG_TRANSFORM}); never an input",
+        help=f".exr, or .png ({PNG_TRANSFORM}), of several views one for each: OUT.left.png; never "
+        "an input",
     )
 
 
 def add_png_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for a preview beside the output; `with_preview` reads it."""
-    parser.add_argument("--png", action="store_true", help="write OUT.png beside OUT.exr too")
+    """Add the option for a preview beside the output; `files_of` reads it."""
+    parser.add_argument(
+        "--png",
+        action="store_true",
+        help="write OUT.png beside OUT.exr too, of several views one for each: OUT.left.png",
+    )
 
 
 def check_output(output: pathlib.Path) -> None:
@@ -64,69 +70,121 @@ def check_output(output: pathlib.Path) -> None:
     check_parent(output)
 
 
-def with_preview(arguments: argparse.Namespace, output: Any) -> list[Any]:
-    """An output and, with ``--png``, the preview beside it.
+def writes_png(arguments: argparse.Namespace) -> bool:
+    """Whether a frame becomes a ``.png``, alone or beside an ``.exr``."""
+    beside: bool = getattr(arguments, "png", False)
+    return beside or arguments.output.suffix.lower() == ".png"
+
+
+def files_of(arguments: argparse.Namespace, output: Any, names: Sequence[str | None]) -> list[Any]:
+    """The files of a frame: the output and, with ``--png``, the preview beside it.
 
     Args:
         arguments: of the command.
         output: a path, or the `jaxblur.sequence.FrameNames` of a sequence.
+        names: of its views, of which each gets a ``.png`` of its own if there are several.
+
+    Returns:
+        Paths, or names of sequences: an ``.exr`` first, and the ``.png`` files in the order of the
+        views.
+
+    Raises:
+        CommandError: the name of a view cannot stand in that of a file.
     """
-    beside = arguments.png and arguments.output.suffix.lower() != ".png"
-    return [output, *([output.with_suffix(".png")] if beside else [])]
+    from jaxblur.sequence import with_view
+
+    alone = arguments.output.suffix.lower() == ".png"
+    files = [] if alone else [output]
+    if not writes_png(arguments):
+        return files
+    picture = output if alone else output.with_suffix(".png")
+    if len(names) < 2:
+        return [*files, picture]
+    # Names come from a file that may be crafted, and must not lead to another folder.
+    for name in names:
+        if not re.fullmatch(r"[\w-]+", str(name)):
+            raise CommandError(
+                f"{arguments.output}: a .png is named after its view, and {name!r} is no name for "
+                "a file; choose one view with --views NAME."
+            )
+    return [*files, *(with_view(picture, str(name)) for name in names)]
 
 
 def write(
     arguments: argparse.Namespace,
     outputs: Sequence[pathlib.Path],
-    image: Any,
     provenance: Mapping[str, str],
-    loaded: Loaded,
+    made: Sequence[tuple[Loaded, Any]],
 ) -> None:
-    """Write an image to every output of a frame.
+    """Write the pictures of a frame to its files.
 
     Args:
         arguments: of the command.
-        outputs: ``.exr`` and ``.png`` files; only the first may be an ``.exr``.
-        image: (H, W, C) linear light.
+        outputs: as `files_of` gives them.
         provenance: metadata to add.
-        loaded: the frame that it was made of.
+        made: each view as it was read, and its (H, W, C) picture in linear light; several share an
+            ``.exr``.
 
     Raises:
         JaxblurIOError: a file cannot be written or cannot hold such values; or an input has changed
             before the first was complete, and nothing is written.
     """
+    # Once the first file is there, the others, of the same pixels, belong beside it: an input that
+    # changes after that is not used any more.
+    unchanged = made[0][0].states
+    pictures = [output for output in outputs if output.suffix.lower() == ".png"]
+    if len(pictures) < len(outputs):
+        _write_exr(arguments, outputs[0], provenance, views.merged(made), unchanged)
+        unchanged = None
+    for output, (loaded, image) in zip(pictures, made if pictures else (), strict=True):
+        _write_png(output, provenance, loaded, image, unchanged)
+        unchanged = None
+    if pictures:
+        plain = made[0][0].colors.view is None
+        LOG.info(".png: %s", PNG_TRANSFORM if plain else "8 bit, in that view")
+
+
+def _write_png(
+    output: pathlib.Path, notes: Mapping[str, str], loaded: Loaded, image: Any, unchanged: Any
+) -> None:
+    """Write the picture of a frame, or of a view, as a screen shows it."""
     from jaxblur import exr
 
-    colors, buffers = loaded.colors, loaded.buffers
-    from_exr = arguments.input.suffix.lower() == ".exr"
+    colors = loaded.colors
+    words = {} if colors.is_identity else {exr.COLORS: colors.words}
+    shown = colors.light(loaded.picture(image))
+    exr.write_image(output, shown, attributes=dict(notes) | words, unchanged=unchanged)
+
+
+def _write_exr(
+    arguments: argparse.Namespace,
+    output: pathlib.Path,
+    notes: Mapping[str, str],
+    frame: tuple[Loaded, Any],
+    unchanged: Any,
+) -> None:
+    """Write a frame, all views in one, in place of the sharp one in a copy of its file."""
+    from jaxblur import exr
+
+    loaded, image = frame
+    if loaded.layers:
+        _write_composite(output, image, notes, loaded, unchanged)
+        return
     channels = arguments.color_channels
-    if buffers.pass_channels:
-        channels = [*buffers.color_channels, *buffers.pass_channels]
-    for position, output in enumerate(outputs):
-        # Once the first file is there, the others, of the same pixels, belong beside it: an input
-        # that changes after that is not used any more.
-        unchanged = loaded.states if position == 0 else None
-        if loaded.layers and output.suffix.lower() == ".exr":
-            _write_composite(output, image, provenance, loaded, unchanged)
-            continue
-        if output.suffix.lower() == ".png":
-            words = {} if colors.is_identity else {exr.COLORS: colors.words}
-            shown, notes = colors.light(loaded.picture(image)), dict(provenance) | words
-            exr.write_image(output, shown, attributes=notes, unchanged=unchanged)
-            LOG.info(".png: %s", PNG_TRANSFORM if colors.view is None else "8 bit, in that view")
-            continue
-        exr.write_image(
-            output,
-            image,
-            like=arguments.input if from_exr else None,
-            extra="drop" if arguments.drop_extra else "keep",
-            attributes=provenance,
-            layer=arguments.layer,
-            color_channels=channels,
-            nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
-            unchanged=unchanged,
-            changes=loaded.changes,
-        )
+    if loaded.buffers.pass_channels:
+        channels = [*loaded.buffers.color_channels, *loaded.buffers.pass_channels]
+    exr.write_image(
+        output,
+        image,
+        like=arguments.input if arguments.input.suffix.lower() == ".exr" else None,
+        extra="drop" if arguments.drop_extra else "keep",
+        attributes=notes,
+        layer=arguments.layer,
+        color_channels=channels,
+        nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
+        unchanged=unchanged,
+        changes=loaded.changes,
+    )
 
 
 def _write_composite(

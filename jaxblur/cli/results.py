@@ -9,9 +9,11 @@ from typing import Any
 
 from jaxblur.settings import Settings
 
+from . import views
 from .arguments import CommandError, check_folder, file_path
 from .choice import Choice
 from .loading import Loaded, load
+from .progress import about_frame
 
 ROLES = ("input", "velocity_from", "depth_from", "truth")
 NOTES = ("jaxblur:settings", "jaxblur:parameters")
@@ -121,18 +123,23 @@ def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Itera
         jobs: whose outputs exist.
 
     Yields:
-        A shot for each frame.
+        A shot for each view of each frame.
     """
     from jaxblur import exr
 
     for job in jobs:
         sources = {role: job.inputs.get(role) for role in ROLES}
-        here = argparse.Namespace(**vars(arguments) | sources)
-        loaded = load(here, Settings())
-        output = job.outputs[0]
-        blurred = exr.read_image(output, arguments.layer)
-        notes = exr.inspect(output).parts[0].attributes
-        # A plan and an automatic radius depend on the frame.
-        settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
-        method = str(notes.get("jaxblur:filter", "output"))
-        yield make_shot(f"frame {job.frame}", loaded, blurred, method, settings, sources)
+        here = sources | {"seed": job.frame}
+        eyes = views.each(argparse.Namespace(**vars(arguments) | here))
+        one_for_all = job.outputs[0].suffix.lower() == ".exr"
+        files = len(eyes) * job.outputs[:1] if one_for_all else job.outputs
+        for eye, output in zip(eyes, files, strict=True):
+            with about_frame(job.frame):
+                loaded = load(eye, Settings())
+            blurred = exr.read_image(output, eye.layer if one_for_all else None)
+            notes = exr.inspect(output).parts[0].attributes
+            # A plan and an automatic radius depend on the frame.
+            settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
+            method = str(notes.get("jaxblur:filter", "output"))
+            name = f"frame {job.frame}" + (f" {eye.layer}" if len(eyes) > 1 else "")
+            yield make_shot(name, loaded, blurred, method, settings, sources)

@@ -13,25 +13,29 @@ SCORE_COLUMNS = ("against truth", ">PSNR dB", ">SSIM", ">FLIP")
 def add_truth_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that name the truth; `.loading.load` reads it."""
     parser.add_argument(
-        "--truth", type=file_path, metavar="FILE", help="print PSNR, SSIM and FLIP against it"
+        "--truth",
+        type=file_path,
+        metavar="FILE",
+        help="print PSNR, SSIM and FLIP against it; several views, each against the view of its "
+        "name there",
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
 
 
-def scores_of(images: Mapping[str, Any], loaded: Loaded) -> dict[str, Any]:
-    """Score images in the colors of a frame against its truth, as a screen shows them.
+def scores_of(loaded: Loaded, image: Any) -> dict[str, Any]:
+    """Score a frame, sharp and blurred, against its truth, as a screen shows them.
 
     Args:
-        images: (H, W, C) colors of the frame by name.
-        loaded: the frame.
+        loaded: the frame, or a view of it.
+        image: (H, W, C) its blurred picture and passes.
 
     Returns:
-        `jaxblur.metrics.Scores` by name; empty without a truth.
+        `jaxblur.metrics.Scores` of "input" and "output"; empty without a truth.
     """
     if loaded.truth is None:
         return {}
-    shown = {name: loaded.colors.light(image) for name, image in images.items()}
-    return scores(shown, loaded.truth)
+    images = {"input": loaded.buffers.color, "output": loaded.picture(image)}
+    return scores({name: loaded.colors.light(each) for name, each in images.items()}, loaded.truth)
 
 
 def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
@@ -50,6 +54,17 @@ def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
         name: metrics.compare(metrics.rgb(image), metrics.rgb(truth))
         for name, image in images.items()
     }
+
+
+def in_words(view: str | None, name: str, method: str) -> str:
+    """What a row of scores is about.
+
+    Args:
+        view: its name, where there are several.
+        name: of `scores_of`.
+        method: name of the filter, which made the output.
+    """
+    return " ".join(filter(None, (view, method if name == "output" else name)))
 
 
 def score_rows(scored: Mapping[str, Any]) -> list[tuple[str, ...]]:

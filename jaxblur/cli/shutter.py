@@ -17,6 +17,8 @@ from .arguments import CommandError, did_you_mean, positive_number
 LOG = logging.getLogger("jaxblur")
 LONGEST = 2.0
 """Frames above which a number without a unit is taken for a mistake."""
+SPEED = 24
+"""Divisor from which a fraction without a unit is taken for a shutter speed in seconds."""
 FORMS = "such as 0.5 (frames), 180deg, or 1/48s with --fps"
 _FORM = re.compile(
     r"(?P<number>[-+]?[0-9.]+(?:e[-+]?[0-9]+)?)(?:/(?P<divisor>[0-9.]+))? *(?P<unit>[a-z]*)"
@@ -76,6 +78,11 @@ def exposure(text: str) -> float:
         return value / 360
     if unit == "s":
         return Seconds(value)
+    if unit == "" and float(found["divisor"] or 1) >= SPEED:
+        raise argparse.ArgumentTypeError(
+            f"{text} of a frame is a short exposure; {text}s with --fps is a shutter speed in "
+            f"seconds; pass {value:.3g} if you mean frames"
+        )
     if unit == "" and abs(value) > LONGEST:
         raise argparse.ArgumentTypeError(
             f"{text} frames is a long exposure; {text}deg is a shutter angle, {value / 360:.3g} "

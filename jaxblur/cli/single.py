@@ -6,6 +6,7 @@ import itertools
 import logging
 import pathlib
 import time
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from . import blurring, mattes, outputs, programs, results, stack, strength, views
@@ -16,7 +17,7 @@ from .console import print_line, print_table
 from .filtering import report_ignored, require_neighbors, takes_neighbors
 from .loading import Loaded, load, mismatch, read
 from .progress import remarks_once
-from .scores import SCORE_COLUMNS, score_rows, scores_of
+from .scores import SCORE_COLUMNS, in_words, score_rows, scores_of
 from .shutter import option_of
 
 LOG = logging.getLogger("jaxblur")
@@ -48,42 +49,84 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
     if arguments.seed == "frame":
         arguments.seed = _number_in(arguments.input)
     outputs.check_output(arguments.output)
-    files = outputs.with_preview(arguments, arguments.output)
     _check_neighbors(arguments, asked)
-    for source in _sources(arguments):
+    read_files = _sources(arguments)
+    for source in read_files:
         exr.inspect(source)
-        for output in files:
-            exr.refuse_overwrite(output, source)
     eyes = views.each(arguments)
+    files = outputs.files_of(arguments, arguments.output, [eye.layer for eye in eyes])
+    for source, output in itertools.product(read_files, files):
+        exr.refuse_overwrite(output, source)
     for eye in eyes:
         outputs.warn_of_double_blur(eye)
     check_outputs(files, arguments.overwrite)
     mattes.warn_of_sharp(arguments, arguments.input)
+    if arguments.dry_run:
+        _print_plan(asked, arguments, dict.fromkeys(read_files), files)
+        return 0
     started = time.perf_counter()
     exposed = _load_views(arguments, asked, eyes)
     read = time.perf_counter()
-    chosen, loaded, blurred = _blur_views(arguments, asked, eyes, exposed)
+    chosen, made = _blur_views(arguments, asked, eyes, exposed)
     done = time.perf_counter()
-    images = {"input": loaded.buffers.color, chosen.name: loaded.picture(blurred)}
-    scored = scores_of(images, loaded)
-    notes = outputs.provenance(eyes[0], chosen, loaded, views.notes(eyes))
+    whole, _ = views.merged(made)
+    notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes))
     if arguments.subframes:
         names = ", ".join(path.name for path in _subframe_files(arguments))
         notes = {**notes, outputs.SUBFRAMES: names}
-    outputs.write(eyes[0], files, blurred, notes, loaded)
+    outputs.write(eyes[0], files, notes, made)
     LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in files:
         print_line(f"{output}")
-    report_ignored(arguments.input, loaded.buffers.ignored)
-    if scored:
-        print_table(SCORE_COLUMNS, score_rows(scored))
-    if arguments.result:
-        settings = results.settings_of(chosen)
-        name, sources = arguments.input.name, vars(arguments)
-        picture = loaded.picture(blurred)
-        shot = results.make_shot(name, loaded, picture, chosen.name, settings, sources)
-        results.write(arguments, [shot])
+    report_ignored(arguments.input, whole.buffers.ignored)
+    _report_scores(arguments, chosen, eyes, made)
     return 0
+
+
+def _print_plan(
+    asked: Choice,
+    arguments: argparse.Namespace,
+    read_files: Iterable[pathlib.Path],
+    files: Sequence[pathlib.Path],
+) -> None:
+    """Print what would be read, done and written."""
+    method = f"--plan {arguments.plan}"
+    if not arguments.plan:
+        radius = "auto" if arguments.radius == 0 else f"{asked.settings.radius} px"
+        method = f"{asked.name}, {asked.settings.samples} samples, radius {radius}"
+    rows = [
+        *(("read", path) for path in read_files),
+        ("blur", method),
+        *(("replace" if path.exists() else "write", path) for path in files),
+    ]
+    print_table(("action", "what"), rows)
+
+
+def _report_scores(
+    arguments: argparse.Namespace,
+    chosen: Choice,
+    eyes: list[argparse.Namespace],
+    made: list[tuple[Loaded, Any]],
+) -> None:
+    """Print the scores of each view, and leave them and the pictures as a result."""
+    shots, rows = [], []
+    for eye, (loaded, blurred) in zip(eyes, made, strict=True):
+        view = eye.layer if len(eyes) > 1 else None
+        rows += score_rows(
+            {
+                in_words(view, name, chosen.name): score
+                for name, score in scores_of(loaded, blurred).items()
+            }
+        )
+        if arguments.result:
+            title = " ".join(filter(None, (arguments.input.name, view)))
+            settings = results.settings_of(views.with_samples(eye, chosen))
+            picture, sources = loaded.picture(blurred), vars(arguments)
+            shots.append(results.make_shot(title, loaded, picture, chosen.name, settings, sources))
+    if rows:
+        print_table(SCORE_COLUMNS, rows)
+    if shots:
+        results.write(arguments, shots)
 
 
 def _load_views(
@@ -107,8 +150,8 @@ def _blur_views(
     asked: Choice,
     eyes: list[argparse.Namespace],
     exposed: list[list[Loaded]],
-) -> tuple[Choice, Loaded, Any]:
-    """Blur each view, and put them together; the choice is that for the fastest of them."""
+) -> tuple[Choice, list[tuple[Loaded, Any]]]:
+    """Blur each view; the choice is that for the fastest of them."""
     if arguments.plan:
         start_jax(not arguments.no_compile_cache)
     # Where there are sub-frames, they are blurred in place of the frame.
@@ -122,7 +165,7 @@ def _blur_views(
         changes = mattes.blur(its, loaded, eye.seed, own)
         loaded = dataclasses.replace(loaded, changes=changes)
         made.append((loaded, blurring.after_blur(eye, its, loaded, blurred, eye.seed)))
-    return chosen, *views.merged(made)
+    return chosen, made
 
 
 def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:

@@ -1,15 +1,15 @@
-"""``--views``: the views of a stereo file in one run, each by its own buffers, into one file."""
+"""``--views``: the views of a stereo file in one run, each by its own buffers."""
 
 import argparse
 import dataclasses
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import posts
 from .arguments import CommandError, channel_names, positive_integer
 from .choice import Choice
+from .disparity import CAMERAS, disparity
 from .filtering import find_filter
 from .loading import Loaded
 
@@ -40,9 +40,9 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
         "--views",
         type=channel_names,
         metavar="all|NAME[,NAME]",
-        help="views to work on, each by its own depth and vectors; the output has the layout of "
-        "the input (default: all that have color, unless --layer or channels are given; one NAME "
-        "is --layer NAME)",
+        help="views to work on, each by its own depth and vectors; an .exr has the layout of the "
+        "input, a .png holds one view: OUT.left.png, OUT.right.png (default: all that have color, "
+        "unless --layer or channels are given)",
     )
     if not blurs:
         return
@@ -54,11 +54,12 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
     )
     group.add_argument(
         "--disparity",
-        type=_disparity,
-        metavar="PX[,DISTANCE]",
-        help="share the noise of views left and right on the surfaces that both see: distance of "
-        "the eyes times focal length in pixels, the disparity at depth 1, and the depth at which "
-        "the eyes converge (default inf); without it each view has noise of its own",
+        type=disparity,
+        metavar="cameras|PX[,DISTANCE]",
+        help="share the noise of views left and right on the surfaces that both see: by "
+        "worldToCamera and worldToNDC in the header of each view, or by distance of the eyes times "
+        "focal length in pixels, the disparity at depth 1, and the depth at which the eyes "
+        "converge (default inf); without it each view has noise of its own",
     )
 
 
@@ -75,8 +76,7 @@ def check(arguments: argparse.Namespace) -> None:
             option = f"--{name.replace('_', '-')}"
             raise CommandError(f"{option}: {why}; leave out that, or --views.")
     if len(arguments.views) == 1 and arguments.views != ALL:
-        # One view is a layer like another.
-        arguments.layer, arguments.views = arguments.views[0], None
+        arguments.layer = arguments.views[0]
 
 
 def check_samples(arguments: argparse.Namespace, asked: Choice) -> None:
@@ -119,6 +119,7 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     info = exr.inspect(arguments.input)
     names = _chosen(arguments, info)
     _check_others(arguments, info, names)
+    _check_truth(arguments, names)
     if not names:
         return [arguments]
     views = []
@@ -129,17 +130,32 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     return views
 
 
+def names_of(arguments: argparse.Namespace) -> list[str]:
+    """The names of the views of a frame that `each` gives; empty where it looks at none.
+
+    Args:
+        arguments: of the command, with the frame in ``input``.
+
+    Raises:
+        JaxblurIOError: the file cannot be read, or has no such view.
+    """
+    from jaxblur import exr
+
+    return _chosen(arguments, exr.inspect(arguments.input))
+
+
 def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
-    """The names of the views; empty for a frame that is read without looking at views."""
+    """See `names_of`."""
     from jaxblur import exr
 
     asked, colored = arguments.views, list(exr.colored_views(info))
-    to_png = arguments.output.suffix.lower() == ".png"
     if asked is None:
         given = (getattr(arguments, name, None) for name in ("stack", *ONE_VIEW))
-        names = [] if any(given) or to_png or len(colored) < 2 else colored
+        names = [] if any(given) or len(colored) < 2 else colored
     elif not colored:
-        raise exr.JaxblurIOError(info.path, "no views with color; leave out --views.")
+        raise exr.JaxblurIOError(
+            info.path, "no views with color; leave out --views, or name a layer by --layer."
+        )
     else:
         names = colored if asked == ALL else list(dict.fromkeys(asked))
     for name in names:
@@ -148,14 +164,30 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
                 info.path,
                 f"no view {name!r} with color; --views takes {', '.join(colored)} or all.",
             )
-    if len(names) > 1 and to_png:
-        raise CommandError(f"--views: a .png holds one view; name one of {', '.join(names)}.")
-    if len(names) > 1 and getattr(arguments, "truth", None) is not None:
+    # One view that is named is read as any layer is, with what it lacks from the default view.
+    return [] if asked is not None and asked != ALL and len(asked) == 1 else names
+
+
+def _check_truth(arguments: argparse.Namespace, names: Sequence[str]) -> None:
+    """Reject a truth of which not each view has one of its own."""
+    from jaxblur import exr
+
+    if len(names) < 2 or getattr(arguments, "truth", None) is None:
+        return
+    one = f"choose one view with --views {names[0]}"
+    if arguments.truth_layer is not None:
         raise CommandError(
-            f"--truth: {info.path} has views {', '.join(names)}, and one view is compared; choose "
-            f"it with --views {names[0]}."
+            f"--truth-layer: each of the views {', '.join(names)} is compared with that of its "
+            f"name in the truth; leave it out, or {one}."
         )
-    return names
+    found = exr.inspect(arguments.truth)
+    lacking = [name for name in names if name not in exr.colored_views(found)]
+    if lacking:
+        raise exr.JaxblurIOError(
+            found.path,
+            f"truth: no view {lacking[0]!r}, and each view is compared with its own truth; give a "
+            f"truth with views {', '.join(names)}, or {one}.",
+        )
 
 
 def _check_others(arguments: argparse.Namespace, info: Any, names: Sequence[str]) -> None:
@@ -180,7 +212,7 @@ def _check_own(arguments: argparse.Namespace, info: Any, name: str, names: Seque
         remedy += f", leave view {name} out with --views {','.join(others)}"
 
     def looked_in(path: Any, what: str) -> Any:
-        found = exr.inspect(path or info.path)
+        found = info if path is None else exr.inspect(path)
         if name not in exr.views_of(found):
             raise exr.JaxblurIOError(found.path, f"{what}: no view {name!r}; {remedy}.")
         return found
@@ -311,7 +343,9 @@ def notes(views: Sequence[argparse.Namespace]) -> Mapping[str, Any]:
     if first.view_samples:
         found["view_samples"] = ", ".join(f"{k}={v}" for k, v in first.view_samples.items())
     shared = next((each.disparity for each in views if each.disparity), None)
-    if shared:
+    if shared == CAMERAS:
+        found["disparity"] = shared
+    elif shared:
         found |= {"disparity": shared[0], "convergence": shared[1]}
     return found
 
@@ -329,21 +363,3 @@ def _samples(text: str) -> dict[str, int]:
             raise argparse.ArgumentTypeError(f"expected NAME=N[,NAME=N], got {text!r}")
         found[name.strip()] = positive_integer(count)
     return found
-
-
-def _disparity(text: str) -> tuple[float, float]:
-    """Parse ``--disparity``.
-
-    Raises:
-        ArgumentTypeError: it has another form.
-    """
-    first, comma, second = text.partition(",")
-    try:
-        at_one, distance = float(first), float(second) if comma else math.inf
-    except ValueError:
-        at_one = distance = math.nan
-    if not (math.isfinite(at_one) and at_one != 0 and distance > 0):
-        raise argparse.ArgumentTypeError(
-            f"expected PX or PX,DISTANCE, the distance above 0, got {text!r}"
-        )
-    return at_one, distance

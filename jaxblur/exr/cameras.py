@@ -62,10 +62,10 @@ class CameraView(NamedTuple):
 
 def has_camera(info: FileInfo) -> bool:
     """Whether the header of a file holds both matrices."""
-    return _part_with_matrices(info) is not None
+    return _part_with_matrices(info, None) is not None
 
 
-def header_camera(info: FileInfo) -> CameraView:
+def header_camera(info: FileInfo, view: str | None = None) -> CameraView:
     """Read the camera from ``worldToCamera`` and ``worldToNDC`` in the header of a file.
 
     Both are for row vectors, as OpenEXR's are. The camera may look along z or -z, and have y up or
@@ -74,6 +74,7 @@ def header_camera(info: FileInfo) -> CameraView:
 
     Args:
         info: listing of the file.
+        view: of a stereo file; without matrices of its own it has those of the file.
 
     Returns:
         The camera.
@@ -81,7 +82,7 @@ def header_camera(info: FileInfo) -> CameraView:
     Raises:
         JaxblurIOError: a matrix is missing, or they are no perspective camera.
     """
-    part = _part_with_matrices(info)
+    part = _part_with_matrices(info, view)
     if part is None:
         raise JaxblurIOError(
             info.path,
@@ -235,9 +236,11 @@ def _is_rigid(matrix: np.ndarray) -> bool:
     return bool(np.allclose(matrix[3], (0, 0, 0, 1)) and abs(np.linalg.det(matrix)) > 1e-12)
 
 
-def _part_with_matrices(info: FileInfo) -> Part | None:
+def _part_with_matrices(info: FileInfo, view: str | None) -> Part | None:
     both = {WORLD_TO_CAMERA, WORLD_TO_NDC}
-    return next((part for part in info.parts if both <= part.attributes.keys()), None)
+    found = [part for part in info.parts if both <= part.attributes.keys()]
+    own = [part for part in found if view is not None and part.attributes.get("view") == view]
+    return next(iter(own or found), None)
 
 
 def _matrix(info: FileInfo, part: Part, name: str) -> Float[np.ndarray, "4 4"]:

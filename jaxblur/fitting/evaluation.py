@@ -96,7 +96,13 @@ def _score(
         image, truth = metrics.rgb(output), metrics.rgb(pair.truth)
         linear = metrics.mse(image, truth, mask), metrics.relative_mse(image, truth, mask)
         figures.append((*map(float, linear), *metrics.compare(output, pair.truth, mask)))
-    return Score(*labels, *np.mean(figures, axis=0).tolist())
+    count = len(figures)
+    errors = np.zeros(5)
+    if count > 1:
+        # An exact image has an infinite PSNR, whose spread is no number.
+        with np.errstate(invalid="ignore"):
+            errors = np.nan_to_num(np.std(figures, axis=0, ddof=1) / np.sqrt(count))
+    return Score(*labels, *np.mean(figures, axis=0).tolist(), *errors[2:].tolist())
 
 
 def display_error(

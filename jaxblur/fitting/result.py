@@ -31,13 +31,16 @@ class Score:
     Attributes:
         pair: name of the pair.
         part: ``train`` or ``held-out``.
-        parameters: ``published`` or ``fitted``.
+        parameters: ``published``, which are the defaults of the filter, or ``fitted``.
         region: ``whole`` image, or ``moving`` for the pixels that motion reaches.
         mse: mean squared error in linear light.
         relative_mse: see `jaxblur.metrics.relative_mse`.
         psnr: dB after the display transform.
         ssim: after the display transform.
         flip: after the display transform.
+        psnr_error: standard error of the mean over draws of noise; 0 if there is one draw alone.
+        ssim_error: the same of `ssim`.
+        flip_error: the same of `flip`.
     """
 
     pair: str
@@ -49,10 +52,15 @@ class Score:
     psnr: float
     ssim: float
     flip: float
+    psnr_error: float = 0.0
+    ssim_error: float = 0.0
+    flip_error: float = 0.0
 
 
 Kind = typing.TypeVar("Kind", bound="FilterChoice")
 
+BEYOND_NOISE = 2.0
+"""Standard errors by which scores differ that are told apart."""
 _FIGURES = {"psnr": (" in dB", 2, 1), "ssim": ("", 4, 1), "flip": ("", 4, -1)}
 """Unit, digits that are printed, and 1 if larger is better."""
 
@@ -141,7 +149,8 @@ class FitResult(FilterChoice):
         steps: number of steps done.
         interrupted: ctrl-C ended the fit; it has no scores and no sensitivity.
         history: ``loss`` and the free parameters before each step.
-        scores: published against fitted, on the training and the held-out pairs.
+        scores: of the defaults (``published``) and the fitted parameters, on the training and the
+            held-out pairs.
         sensitivity: None if interrupted.
         data: the pairs.
         versions: of the software.
@@ -179,19 +188,32 @@ class FitResult(FilterChoice):
         Returns:
             The mean; NaN if there is no such pair.
         """
+        found = self._figures(figure, part, parameters, region)
+        return math.fsum(found) / len(found) if found else math.nan
+
+    def _figures(self, figure: str, part: str, parameters: str, region: str) -> list[float]:
+        """One figure of every pair."""
         wanted = (part, parameters, region)
-        found = [
+        return [
             getattr(score, figure)
             for score in self.scores
             if (score.part, score.parameters, score.region) == wanted
         ]
-        return math.fsum(found) / len(found) if found else math.nan
+
+    def _noise(self, figure: str, part: str, region: str) -> float:
+        """Standard error of the difference of two mean scores, by the draws of noise."""
+        errors = [
+            self._figures(f"{figure}_error", part, label, region)
+            for label in ("published", "fitted")
+        ]
+        return math.hypot(*(math.hypot(*each) / max(len(each), 1) for each in errors))
 
     def losses_by_fitting(self) -> tuple[str, ...]:
-        """Scores that are worse with the fitted parameters than with the published ones, in words.
+        """Scores that are worse with the fitted parameters than with the defaults, in words.
 
         Over the pixels that motion reaches, where anything moves, else over whole images; training
-        and held-out pairs apart. Differences that vanish when they are printed do not count.
+        and held-out pairs apart. Differences that vanish when they are printed, or that the draws
+        of noise explain, do not count.
         """
         found = []
         for part in dict.fromkeys(score.part for score in self.scores):
@@ -202,10 +224,11 @@ class FitResult(FilterChoice):
                     self.mean_score(figure, part, parameters, region)
                     for parameters in ("published", "fitted")
                 )
-                if sign * round(after - before, digits) < 0:
+                loss = sign * round(before - after, digits)
+                if loss > BEYOND_NOISE * self._noise(figure, part, region):
                     found.append(
                         f"{part}: {figure.upper()}{unit} is worse with the fitted parameters than "
-                        f"with the published ones, {after:.{digits}f} against {before:.{digits}f}"
+                        f"with the defaults, {after:.{digits}f} against {before:.{digits}f}"
                     )
         return tuple(found)
 

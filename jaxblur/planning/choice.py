@@ -42,7 +42,8 @@ class Plan:
         filter: a key of `jaxblur.FILTERS`.
         settings: of the run.
         parameters: of the filter, None if it has none.
-        reason: why, in one sentence.
+        summary: the choice and its rule in a few words, the same for all frames of that choice.
+        reason: why, in one sentence with the statistics of the frame.
         loss: expected loss in dB against the full filter, at least 0.
         spread: standard error of that expectation on scenes that it was not derived from, dB.
         jod_loss: expected loss in JOD against the full filter, at least 0.
@@ -54,6 +55,7 @@ class Plan:
     filter: str
     settings: Settings
     parameters: Parameters | None
+    summary: str
     reason: str
     loss: float
     spread: float
@@ -157,11 +159,11 @@ def plan(
         raise ValueError(_refusal(candidates, kept, budget_ms, within))
     if not within:
         chosen = min(allowed, key=lambda c: (c.safe_loss, c.milliseconds))
-        why = f"of those within {budget_ms:g} ms it has the least expected loss"
+        why = f"the least expected loss of those within {budget_ms:g} ms"
     else:
         chosen = min(allowed, key=lambda c: (c.milliseconds, c.safe_loss))
-        why = f"it is the fastest expected to stay within {within}"
-    return _make_plan(chosen, statistics, _reason(chosen, statistics, why))
+        why = f"the fastest expected to stay within {within}"
+    return _make_plan(chosen, statistics, why, _reason(chosen, statistics))
 
 
 def _check_limits(
@@ -198,28 +200,27 @@ def _predict(statistics: FrameStatistics, machine_speed: float) -> list[_Candida
 def _nothing_moves(statistics: FrameStatistics, candidates: list[_Candidate]) -> Plan:
     fastest = min(candidates, key=lambda candidate: candidate.milliseconds)
     still = dataclasses.replace(fastest, loss=0.0, spread=0.0, jod_loss=0.0, jod_spread=0.0)
-    reason = (
-        f"{fastest.label}: nothing moves by more than half a pixel, so that every filter returns "
-        "the frame as it is, and this one is the fastest."
-    )
-    return _make_plan(still, statistics, reason)
+    reason = "every filter returns the frame as it is, and this one is the fastest."
+    return _make_plan(still, statistics, "nothing moves by more than half a pixel", reason)
 
 
-def _make_plan(chosen: _Candidate, statistics: FrameStatistics, reason: str) -> Plan:
+def _make_plan(chosen: _Candidate, statistics: FrameStatistics, why: str, more: str) -> Plan:
     info = filter_info(chosen.record["filter"])
     settings = info.kind(**chosen.record["settings"], radius=statistics.radius)
     parameters = info.make_parameters(**chosen.record["parameters"])
+    summary = f"{chosen.label}: {why}"
     return Plan(
-        *(info.name, settings, parameters, reason, chosen.loss, chosen.spread),
+        *(info.name, settings, parameters, summary, f"{summary}; {more}"),
+        *(chosen.loss, chosen.spread),
         *(chosen.jod_loss, chosen.jod_spread, chosen.milliseconds),
     )
 
 
-def _reason(chosen: _Candidate, statistics: FrameStatistics, why: str) -> str:
+def _reason(chosen: _Candidate, statistics: FrameStatistics) -> str:
     return (
-        f"{chosen.label}: {why} (loss {chosen.loss:.2f} ± {chosen.spread:.2f} dB and "
+        f"expected loss {chosen.loss:.2f} ± {chosen.spread:.2f} dB and "
         f"{chosen.jod_loss:.2f} ± {chosen.jod_spread:.2f} JOD against the full filter, "
-        f"{chosen.milliseconds:.0f} ms), since speeds reach "
+        f"{chosen.milliseconds:.0f} ms, since speeds reach "
         f"{statistics.fast_speed:.1f} px, the angular variance is "
         f"{statistics.angular_variance:.2f}, and {100 * statistics.layered_tiles:.0f} % of the "
         "moving tiles hold layers that move apart."

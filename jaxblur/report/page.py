@@ -117,11 +117,13 @@ def _render(result: Result, windows: Sequence[Window]) -> str:
     script, style = _template("script.js"), _template("style.css")
     rows = [(shot, picture) for shot in result.shots for picture in shot.pictures]
     names = dict.fromkeys(name for _, picture in rows for name in picture.scores)
+    timed = any(picture.milliseconds is not None for _, picture in rows)
     return environment.get_template("page.html").render(
         result=result,
         rows=rows,
         score_names=list(names),
-        timed=any(picture.milliseconds is not None for _, picture in rows),
+        timed=timed,
+        plotted=timed and bool(names),
         script=script,
         script_hash=_integrity(script),
         style=style,

@@ -15,6 +15,7 @@ from .names import (
     parse_frames as parse_frames,
     parse_names as parse_names,
     with_frame_number as with_frame_number,
+    with_view as with_view,
 )
 from .pipeline import (
     Outcome as Outcome,

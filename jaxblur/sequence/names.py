@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 PathLike = str | os.PathLike[str]
 
 _PLACEHOLDER = re.compile(r"#|@|%0?\d*d|\$F\d*")
+_SEPARATORS = (".", "_")
 _LONE_HASH = re.compile(r"(?<!#)#(?!#)")
 
 
@@ -165,6 +166,24 @@ def with_frame_number(path: PathLike, frame: int) -> pathlib.Path:
     return file.with_name(
         file.stem[: found.start()] + number + file.stem[found.end() :] + file.suffix
     )
+
+
+def with_view(names: FrameNames | pathlib.Path, view: str) -> FrameNames | pathlib.Path:
+    """Return names with a view in them: ``out.left.png``, ``shot.left.0001.png``.
+
+    Args:
+        names: of a file or a sequence.
+        view: stands before the frame number, with the same separator, where the number is a word of
+            its own; else before the extension.
+    """
+    if isinstance(names, FrameNames):
+        if (separator := names.before[-1:]) in _SEPARATORS:
+            return dataclasses.replace(names, before=names.before + view + separator)
+        return dataclasses.replace(names, after=f".{view}{names.after}")
+    if found := re.fullmatch(r"(.*)([._])(\d+)", names.stem):
+        before, separator, number = found.groups()
+        return names.with_name(f"{before}{separator}{view}{separator}{number}{names.suffix}")
+    return names.with_name(f"{names.stem}.{view}{names.suffix}")
 
 
 def missing_frames(frames: Sequence[int]) -> str:

@@ -1,7 +1,6 @@
 """``jaxblur blur``: sharp frames in, blurred frames out."""
 
 import argparse
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -104,16 +103,11 @@ def _add_neighbor_options(parser: argparse.ArgumentParser) -> None:
 
 def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
     """How to give several frames, which a shell pattern may have listed."""
-    names = {
-        re.sub(r"\d+(?=\D*$)", lambda m: "#" * len(m[0]), name) for name in (*left, *given[:1])
-    }
-    pattern = names.pop() if len(names) == 1 else ""
+    pattern = sequence.pattern_of((*left, *given[:1]))
     layers = "; layers of one frame: `jaxblur layers FRONT.exr BACK.exr -o OUT.exr`"
-    more = "" if "#" in pattern else layers
-    example = pattern if "#" in pattern else "name.####.exr"
     return (
         "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
-        f"'{example}'{more}"
+        f"'{pattern or 'name.####.exr'}'{'' if pattern else layers}"
     )
 
 
@@ -122,9 +116,9 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--plan",
         choices=("auto", "perceptual"),
-        help="choose filter, settings and parameters by statistics of the frame, and say why: "
-        "auto by PSNR, perceptual by what viewers of clips see (JOD); replaces all filter "
-        "options, which are rejected beside it",
+        help="choose filter, settings and parameters by statistics of the frame, of a sequence for "
+        "each frame anew; -v says why: auto by PSNR, perceptual by what viewers of clips see "
+        "(JOD); replaces all filter options, which are rejected beside it",
     )
     group.add_argument(
         "--tolerance",

@@ -25,6 +25,7 @@ from ..console import print_line
 
 LOG = logging.getLogger("jaxblur")
 PACKAGES = ("numpy", "OpenImageIO", "jax", "jaxlib")
+IN_WORDS = {"OpenEXR": "OpenEXR inside OpenImageIO"}
 EXTRAS = {
     "compiler": ("ziglang",),
     "dask": ("cryptography", "distributed"),
@@ -285,7 +286,7 @@ def _print_text(found: Mapping[str, Any]) -> None:
         "jaxblur": "{version} in {folder}".format(**found["jaxblur"]),
         "Python": "{version} ({program})".format(**found["python"]),
         "system": f"{system['name']}, {system['processor']}, {system['cores']} cores",
-        "packages": ", ".join(f"{name} {version}" for name, version in packages.items()),
+        "packages": ", ".join(f"{IN_WORDS.get(n, n)} {version}" for n, version in packages.items()),
         "compiler": _text_of_compiler(found["compiler"]),
         "cache": _text_of_cache(cache),
         "devices": ", ".join(found["devices"]) or "none",
@@ -309,8 +310,8 @@ def _text_of_compiler(compiler: Mapping[str, str] | None) -> str:
 
 def _text_of_cache(cache: Mapping[str, Any]) -> str:
     if cache["folder"] is None:
-        return f"refused: {cache['refused']}"
-    state = "accepted" if cache["refused"] is None else f"refused: {cache['refused']}"
+        return f"not used: {cache['refused']}"
+    state = "used" if cache["refused"] is None else f"not used: {cache['refused']}"
     return (
         f"{cache['folder']} ({state}): {cache['kernels']} kernels, "
         f"{cache['kernel_bytes'] / 1e6:.1f} MB; {cache['programs']} programs of XLA, "

@@ -145,7 +145,7 @@ def _add_fit_options(parser: argparse.ArgumentParser) -> None:
         type=from_zero,
         default=0.0,
         metavar="STRENGTH",
-        help="pull toward the published values: at 0.01 a value 2.7 times the published one costs "
+        help="pull toward the default values: at 0.01 a value 2.7 times the default one costs "
         "as much as half a percent of the loss (default: none)",
     )
     group.add_argument(
@@ -410,7 +410,7 @@ def _report(output: pathlib.Path, result: Any) -> None:
     sensitivity = result.sensitivity
     errors = dict(zip(sensitivity.names, sensitivity.standard_error, strict=True))
     print_table(
-        ("parameter", ">published", ">fitted", ">± standard error"),
+        ("parameter", ">default", ">fitted", ">± standard error"),
         [
             (
                 name,
@@ -425,9 +425,9 @@ def _report(output: pathlib.Path, result: Any) -> None:
     print_table(
         ("moving pixels", "parameters", ">PSNR dB", ">SSIM", ">FLIP"),
         [
-            (part, label, *(_mean(result, figure, part, label) for figure in _FIGURES))
+            (part, words, *(_mean(result, figure, part, label) for figure in _FIGURES))
             for part in parts
-            for label in ("published", "fitted")
+            for label, words in (("published", "default"), ("fitted", "fitted"))
         ],
     )
     for warning in result.warnings:

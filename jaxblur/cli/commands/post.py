@@ -1,9 +1,10 @@
 """``jaxblur post``: defocus and antialiasing alone, of pictures that need no blur."""
 
 import argparse
+import itertools
 import logging
 import pathlib
-from typing import Any
+from typing import Any, NamedTuple
 
 import jaxblur
 
@@ -18,7 +19,7 @@ from ..arguments import (
 )
 from ..compute import start_jax
 from ..console import print_line, track
-from ..outputs import add_output_option, check_output
+from ..outputs import add_output_option, check_output, files_of
 from ..sources import add_channel_options
 
 LOG = logging.getLogger("jaxblur")
@@ -60,17 +61,16 @@ def run(arguments: argparse.Namespace) -> int:
     _check_depth(arguments)
     check_output(arguments.output)
     jobs = _jobs(arguments)
-    for source, depth, output in jobs:
-        exr.inspect(source)
-        for file in (source, depth):
+    for source, depth, files in jobs:
+        for file, output in itertools.product((source, depth), files):
             exr.refuse_overwrite(output, file)
-    check_outputs([output for *_, output in jobs], arguments.overwrite)
+    check_outputs([output for *_, files in jobs for output in files], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
     if len(jobs) == 1:
-        _run_one(arguments, *jobs[0])
+        _run_one(arguments, jobs[0])
         return 0
     for index in track(list(range(len(jobs))), "post"):
-        _run_one(arguments, *jobs[index])
+        _run_one(arguments, jobs[index])
     return 0
 
 
@@ -90,37 +90,57 @@ def _check_depth(arguments: argparse.Namespace) -> None:
             )
 
 
-def _jobs(arguments: argparse.Namespace) -> list[tuple[pathlib.Path, pathlib.Path, pathlib.Path]]:
-    """Picture, file with its depth, and output of every frame."""
+class _Job(NamedTuple):
+    """A picture, the file with its depth, and what is written: see `files_of`."""
+
+    source: pathlib.Path
+    depth: pathlib.Path
+    files: list[pathlib.Path]
+
+
+def _jobs(arguments: argparse.Namespace) -> list[_Job]:
+    """The work on every frame."""
     from jaxblur.sequence import has_frame_number, parse_names
 
-    from ..sequence import frames_on_disk
+    from ..sequence import frames_on_disk, refuse_shell_pattern
 
     depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
-        return [(arguments.input, depth, arguments.output)]
+        refuse_shell_pattern(arguments.input)
+        return [_job(arguments, arguments.input, depth, arguments.output)]
     sources, outputs = parse_names(arguments.input), parse_names(arguments.output)
     depths = parse_names(depth) if has_frame_number(depth) else None
     numbers = arguments.frames or frames_on_disk(sources)
     return [
-        (sources.path(n), depth if depths is None else depths.path(n), outputs.path(n))
+        _job(
+            arguments,
+            sources.path(n),
+            depth if depths is None else depths.path(n),
+            outputs.path(n),
+        )
         for n in numbers
     ]
 
 
-def _run_one(
+def _job(
     arguments: argparse.Namespace, source: pathlib.Path, depth: pathlib.Path, output: pathlib.Path
-) -> None:
+) -> _Job:
+    names = views.names_of(argparse.Namespace(**vars(arguments) | {"input": source}))
+    return _Job(source, depth, files_of(arguments, output, names))
+
+
+def _run_one(arguments: argparse.Namespace, job: _Job) -> None:
     import numpy as np
 
     from jaxblur import exr
 
+    source, depth, files = job
     states = exr.FileStates.of([source, depth])
     eyes = views.each(argparse.Namespace(**vars(arguments) | {"input": source}))
     channels, images = [], []
     for eye in eyes:
         group = exr.choose_color(exr.inspect(source), eye.layer, eye.color_channels)
-        channels += group.channels
+        channels.append(group.channels)
         images.append(_through_posts(eye, depth))
     if len({image.shape[:2] for image in images}) > 1:
         names = " and ".join(eye.layer for eye in eyes)
@@ -138,16 +158,20 @@ def _run_one(
         **posts.notes(arguments),
     }
     like = source if source.suffix.lower() == ".exr" else None
-    exr.write_image(
-        output,
-        np.concatenate(images, axis=-1),
-        like=like,
-        attributes=notes,
-        layer=eyes[0].layer,
-        color_channels=channels if like else None,
-        unchanged=states,
-    )
-    print_line(f"{output}")
+    if len(files) < len(images):
+        # All views go into one file.
+        images, channels = [np.concatenate(images, axis=-1)], [sum(channels, ())]
+    for eye, output, image, names in zip(eyes[: len(files)], files, images, channels, strict=True):
+        exr.write_image(
+            output,
+            image,
+            like=like,
+            attributes=notes,
+            layer=eye.layer,
+            color_channels=names if like else None,
+            unchanged=states if output == files[0] else None,
+        )
+        print_line(f"{output}")
 
 
 def _through_posts(arguments: argparse.Namespace, depth: pathlib.Path) -> Any:

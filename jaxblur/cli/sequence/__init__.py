@@ -8,7 +8,9 @@ all checks; `recognition` finds what their vectors mean; `frame_work` is the wor
 from .options import (
     add_options as add_options,
     is_asked_for as is_asked_for,
+    pattern_of as pattern_of,
     refuse_options as refuse_options,
+    refuse_shell_pattern as refuse_shell_pattern,
 )
 from .plan import frames_on_disk as frames_on_disk
 from .run import blur_sequence as blur_sequence

@@ -7,7 +7,7 @@ import functools
 import logging
 import queue
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import blurring, loading, mattes, outputs, views
 from ..choice import Choice, choose, passed_through
@@ -16,9 +16,22 @@ from ..filtering import find_filter
 from ..loading import Loaded, Source, mismatch
 from ..progress import about_frame
 from ..scores import scores_of
+from . import report
 from .plan import roles
 
 LOG = logging.getLogger("jaxblur")
+
+
+class View(NamedTuple):
+    """A view of a frame, or a frame without views.
+
+    Attributes:
+        arguments: of the command for this view; see `views.each`.
+        loaded: as it was read.
+    """
+
+    arguments: argparse.Namespace
+    loaded: Loaded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,18 +51,18 @@ class FrameWork:
     devices: queue.SimpleQueue[Any] | None = None
     shared: Any = None
 
-    def read(self, job: Any, _: None) -> list[Loaded]:
+    def read(self, job: Any, _: None) -> list[View]:
         """Read the views of a frame, its truth and its neighbors."""
         from jaxblur.sequence import Shared
 
-        with about_frame(job.frame):
-            eyes = views.each(self._at(job))
-            for eye in eyes:
-                outputs.warn_of_double_blur(eye)
         numbers = (job.frame, *job.neighbors)
         shared = self.shared or Shared(numbers)
         own, *others = shared.take(numbers, functools.partial(self._read_sources, job))
         with about_frame(job.frame):
+            eyes = views.each(self._at(job))
+            self._check_files(job, eyes)
+            for eye in eyes:
+                outputs.warn_of_double_blur(eye)
             frames = [
                 loading.load(eye, self.asked.settings, source)
                 for eye, source in zip(eyes, own.result(), strict=True)
@@ -61,9 +74,23 @@ class FrameWork:
                 for eye, source in enumerate(self._seen(job.frame, frames, number, future)):
                     near[eye][side] = source
             return [
-                frame.with_neighbors(neighbors)
-                for frame, neighbors in zip(frames, near, strict=True)
+                View(eye, frame.with_neighbors(neighbors))
+                for eye, frame, neighbors in zip(eyes, frames, near, strict=True)
             ]
+
+    def _check_files(self, job: Any, eyes: list[argparse.Namespace]) -> None:
+        """Reject a frame whose views are others than those that the .png files are named after."""
+        from jaxblur.exr import JaxblurIOError
+        from jaxblur.sequence import parse_names
+
+        names = [eye.layer for eye in eyes]
+        files = outputs.files_of(self.arguments, parse_names(self.arguments.output), names)
+        if [each.path(job.frame).name for each in files] != [path.name for path in job.outputs]:
+            raise JaxblurIOError(
+                eyes[0].input,
+                "has other views than the first frame, after whose views the .png files are named; "
+                "choose views that all frames have with --views, or blur this frame alone.",
+            )
 
     def _read_sources(self, job: Any, number: int) -> list[Source]:
         """Read the views of a frame or of its neighbor."""
@@ -107,7 +134,7 @@ class FrameWork:
             return False
         return True
 
-    def blur(self, job: Any, frames: list[Loaded]) -> tuple[Loaded, Choice, Any]:
+    def blur(self, job: Any, frames: list[View]) -> tuple[Choice, list[tuple[View, Any]]]:
         """Blur the views of a frame, or pass it through."""
         with about_frame(job.frame):
             start_jax(not self.arguments.no_compile_cache)
@@ -116,47 +143,44 @@ class FrameWork:
                 find_filter(self.arguments.filter)
             chosen = passed_through(self.asked)
             if job.action != "pass":
-                fastest = max(frames, key=lambda frame: frame.speeds.suggested_radius)
-                chosen = choose(self.arguments, self.asked, fastest)
+                fastest = max(frames, key=lambda view: view.loaded.speeds.suggested_radius)
+                chosen = choose(self.arguments, self.asked, fastest.loaded)
             with self._device():
-                made = [
-                    self._blur_view(eye, views.with_samples(eye, chosen), frame)
-                    for eye, frame in zip(views.each(self._at(job)), frames, strict=True)
-                ]
-            loaded, blurred = views.merged(made)
-            return loaded, chosen, blurred
+                return chosen, [self._blur_view(view, chosen) for view in frames]
 
-    def _blur_view(
-        self, eye: argparse.Namespace, chosen: Choice, loaded: Loaded
-    ) -> tuple[Loaded, Any]:
+    def _blur_view(self, view: View, choice: Choice) -> tuple[View, Any]:
         """Blur a view; returns it without what is not needed any more."""
+        eye, loaded = view
+        chosen = views.with_samples(eye, choice)
         blurred = blurring.blur(chosen, loaded, eye.seed)
         changes = mattes.blur(chosen, loaded, eye.seed, [loaded])
         blurred = blurring.after_blur(eye, chosen, loaded, blurred, eye.seed)
-        return dataclasses.replace(loaded, changes=changes).without_neighbor_pixels(), blurred
+        left = dataclasses.replace(loaded, changes=changes).without_neighbor_pixels()
+        return View(eye, left), blurred
 
-    def write(self, job: Any, made: tuple[Loaded, Choice, Any]) -> dict[str, Any]:
+    def write(self, job: Any, blurred: tuple[Choice, list[tuple[View, Any]]]) -> dict[str, Any]:
         """Write a frame, and score it; returns the entries of the report."""
         from jaxblur.sequence.jobs import MEAN_SPEED
 
-        loaded, chosen, image = made
+        chosen, pictures = blurred
+        eyes = [view.arguments for view, _ in pictures]
+        made = [(view.loaded, image) for view, image in pictures]
         with about_frame(job.frame):
-            eyes = views.each(self._at(job))
-            notes = outputs.provenance(eyes[0], chosen, loaded, views.notes(eyes)) | job.marks
-            notes[MEAN_SPEED] = f"{loaded.mean_speed:.4f}"
-            outputs.write(eyes[0], job.outputs, image, notes, loaded)
-            if loaded.buffers.ignored:
-                LOG.warning("not finite: %s", loaded.buffers.ignored)
-            images = {"input": loaded.buffers.color, "output": loaded.picture(image)}
-            scored = scores_of(images, loaded)
+            whole, _ = views.merged(made)
+            notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes)) | job.marks
+            notes[MEAN_SPEED] = f"{whole.mean_speed:.4f}"
+            outputs.write(eyes[0], job.outputs, notes, made)
+            if whole.buffers.ignored:
+                LOG.warning("not finite: %s", whole.buffers.ignored)
+            scored = [scores_of(loaded, image) for loaded, image in made]
         sides = {"before": job.frame - 1, "after": job.frame + 1}
-        used = loaded.neighbors if outputs.NEIGHBORS in notes else ()
+        used = whole.neighbors if outputs.NEIGHBORS in notes else ()
         return {
-            "selects": loaded.selects,
-            "mean_speed": loaded.mean_speed,
+            "selects": whole.selects,
+            "mean_speed": whole.mean_speed,
             "filter": chosen.name,
             "neighbors": [sides[side] for side in used],
-            "scores": {name: score._asdict() for name, score in scored.items()},
+            **report.scores_record([eye.layer for eye in eyes], scored),
         }
 
     def stages(self) -> tuple[Any, ...]:

@@ -1,8 +1,13 @@
 """The options that only sequences have, and whether a sequence is given."""
 
 import argparse
+import glob
+import pathlib
+import re
+from collections.abc import Iterable
 from typing import Any
 
+from .. import stack
 from ..arguments import CommandError, frame_numbers, positive_integer
 
 
@@ -19,6 +24,12 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         help="keep frames that were made in the same way, and make those again whose inputs have "
         "changed (the default without --overwrite); any other file in the place of an output is "
         "an error",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print what would be read and written, of a sequence what would be done with each "
+        "frame, and write nothing",
     )
     group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
     group.add_argument(
@@ -46,7 +57,6 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         action="store_true",
         help="accept frames of another size than most (otherwise they give exit status 1)",
     )
-    group.add_argument("--dry-run", action="store_true", help="print the plan, write nothing")
     group.add_argument("--json", action="store_true", help="print the plan or the outcome as JSON")
     group.add_argument(
         "--scheduler",
@@ -69,13 +79,37 @@ def is_asked_for(arguments: argparse.Namespace) -> bool:
     return arguments.frames is not None or has_frame_number(arguments.input)
 
 
+def pattern_of(names: Iterable[str]) -> str:
+    """The pattern of a sequence that files belong to, by their last numbers; empty if none."""
+    patterns = {re.sub(r"\d+(?=\D*$)", lambda found: "#" * len(found[0]), n) for n in names}
+    pattern = patterns.pop() if len(patterns) == 1 else ""
+    return pattern if "#" in pattern else ""
+
+
+def refuse_shell_pattern(path: pathlib.Path) -> None:
+    """Reject names that only a shell would expand, where a sequence is meant.
+
+    Raises:
+        CommandError: there is no such file, and its name holds ``*``, ``?`` or ``[``.
+    """
+    if path.exists() or not set(path.name) & set("*?["):
+        return
+    found = pattern_of(sorted(glob.glob(str(path))))
+    raise CommandError(
+        f"{path}: no such file, and the shell has not replaced it; the frames of a sequence are "
+        f"named by one pattern, in quotes: '{found or 'name.####.exr'}'."
+    )
+
+
 def refuse_options(arguments: argparse.Namespace) -> None:
-    """Reject options of sequences for a single frame.
+    """Reject options and names of sequences for a single frame.
 
     Raises:
         CommandError: one is given.
     """
-    options = ("cut", "dry_run", "json", "skip_existing", "scheduler", "workers", "neighbors")
+    for role in stack.roles(arguments):
+        refuse_shell_pattern(getattr(arguments, role))
+    options = ("cut", "json", "skip_existing", "scheduler", "workers", "neighbors")
     for name in options:
         if getattr(arguments, name):
             raise CommandError(

@@ -1,16 +1,18 @@
 """Which frames a run has, and what is to be done with each: all checks before any work."""
 
 import argparse
+import contextlib
 import dataclasses
 import hashlib
 import logging
 import os
 import pathlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jaxblur
 
-from .. import outputs, stack, strength
+from .. import outputs, stack, strength, views
 from ..arguments import CommandError
 from ..choice import Choice
 from ..filtering import takes_neighbors
@@ -56,7 +58,7 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     Raises:
         CommandError: an option is wrong, or there is no frame.
     """
-    from jaxblur.sequence import has_frame_number, plan_jobs
+    from jaxblur.sequence import has_frame_number, parse_names, plan_jobs
 
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
@@ -64,7 +66,8 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         if getattr(arguments, name):
             also = "" if name == "subframes" else ", which finds its neighbors by itself"
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
-    sources, targets = _names(arguments)
+    sources = _inputs(arguments)
+    outputs.check_output(arguments.output)
     frames = arguments.frames or frames_on_disk(sources["input"])
     if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
         raise CommandError(
@@ -74,6 +77,8 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    names = parse_names(_placed(arguments, arguments.output))
+    targets = outputs.files_of(arguments, names, _views(arguments, sources, frames))
     settle_convention(arguments, sources)
     neighbors = _uses_neighbors(arguments, asked)
     choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
@@ -112,22 +117,38 @@ def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     return (*stack.roles(arguments), "velocity_from", "depth_from", "matte_from", "truth")
 
 
-def _names(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Any]]:
-    """Names of the inputs by role, and of the outputs."""
+def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Names of the inputs by role."""
     from jaxblur.sequence import has_frame_number, parse_names
 
-    def placed(path: pathlib.Path) -> pathlib.Path:
-        # Workers may stand in another folder.
-        return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
-
     given = {role: getattr(arguments, role) for role in roles(arguments)}
-    sources = {
-        role: parse_names(placed(path)) if has_frame_number(path) or role == "input" else path
+    return {
+        role: parse_names(_placed(arguments, path))
+        if has_frame_number(path) or role == "input"
+        else path
         for role, path in given.items()
         if path is not None
     }
-    outputs.check_output(arguments.output)
-    return sources, outputs.with_preview(arguments, parse_names(placed(arguments.output)))
+
+
+def _placed(arguments: argparse.Namespace, path: pathlib.Path) -> pathlib.Path:
+    """The path of a file for workers, which may stand in another folder."""
+    return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
+
+
+def _views(
+    arguments: argparse.Namespace, sources: Mapping[str, Any], frames: Sequence[int]
+) -> list[str]:
+    """The views after which .png files are named: those of the first frame that can be read."""
+    from jaxblur.exr import JaxblurIOError
+    from jaxblur.sequence import at_frame
+
+    for frame in frames if outputs.writes_png(arguments) else ():
+        here = {"input": at_frame(sources, frame)["input"]}
+        # A frame that cannot be read is reported when it is its turn.
+        with contextlib.suppress(JaxblurIOError):
+            return views.names_of(argparse.Namespace(**vars(arguments) | here))
+    return []
 
 
 def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:

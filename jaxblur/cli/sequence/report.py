@@ -4,12 +4,12 @@ import argparse
 import dataclasses
 import json
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ..console import print_line, print_table
 from ..errors import FAILED
-from ..scores import SCORE_COLUMNS, score_cells
+from ..scores import SCORE_COLUMNS, in_words, score_cells
 
 LOG = logging.getLogger("jaxblur")
 
@@ -26,6 +26,22 @@ def record_of(job: Any) -> dict[str, Any]:
         "mean_speed": job.mean_speed,
         "neighbors": list(job.neighbors),
     }
+
+
+def scores_record(views: Sequence[str | None], scored: Sequence[Mapping[str, Any]]) -> Any:
+    """The entries of a record with the scores of a frame.
+
+    Args:
+        views: their names.
+        scored: of each, as `scores_of` gives them.
+
+    Returns:
+        ``scores`` of a frame without views; ``scores_of_views`` by view of one that has several.
+    """
+    rows = [{name: score._asdict() for name, score in each.items()} for each in scored]
+    if len(rows) == 1:
+        return {"scores": rows[0]}
+    return {"scores_of_views": dict(zip(views, rows, strict=True))}
 
 
 def print_plan(plan: Any, as_json: bool) -> int:
@@ -89,10 +105,27 @@ def _counts(words: Iterable[str]) -> str:
 
 def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
     """A row for each frame that has a truth, and the means."""
-    scored = [record for record in records if record.get("scores")]
-    rows = [(r["frame"], *score_cells("output", r["scores"]["output"])) for r in scored]
-    for name in ("input", "output") if scored else ():
-        each = [record["scores"][name] for record in scored]
-        mean = {key: sum(score[key] for score in each) / len(each) for key in each[0]}
-        rows.append(("mean", *score_cells(name, mean)))
+    scored = [
+        (record, view, scores)
+        for record in records
+        for view, scores in _scores_by_view(record).items()
+    ]
+    rows = [
+        (record["frame"], *score_cells(in_words(view, "output", record["filter"]), each["output"]))
+        for record, view, each in scored
+    ]
+    methods = {record["filter"] for record, *_ in scored}
+    method = methods.pop() if len(methods) == 1 else "output"
+    for seen in dict.fromkeys(view for _, view, _ in scored):
+        for name in ("input", "output"):
+            each = [scores[name] for _, view, scores in scored if view == seen]
+            mean = {key: sum(score[key] for score in each) / len(each) for key in each[0]}
+            rows.append(("mean", *score_cells(in_words(seen, name, method), mean)))
     return rows
+
+
+def _scores_by_view(record: Mapping[str, Any]) -> Mapping[str | None, Any]:
+    """The scores of a record by view, which is None where a frame has no views."""
+    if scores := record.get("scores"):
+        return {None: scores}
+    return {view: each for view, each in record.get("scores_of_views", {}).items() if each}

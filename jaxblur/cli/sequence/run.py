@@ -65,10 +65,11 @@ class _Run:
         LOG.info("%d frames: %s", len(self.plan.jobs), report.counts_in(self.plan))
         for job in self.plan.with_action("missing"):
             LOG.error("frame %d: %s", job.frame, job.reason)
-        if todo:
-            self._work(todo)
-        report.print_outcome(self.arguments, list(self.records.values()))
-        self._leave_result()
+        with frame_messages():
+            if todo:
+                self._work(todo)
+            report.print_outcome(self.arguments, list(self.records.values()))
+            self._leave_result()
         same = self.arguments.allow_resize or not self._resized()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
         return 0 if done and same and self._selects_something() else FAILED
@@ -116,7 +117,7 @@ class _Run:
         before = [_times(job) for job in todo]
         refused = 0
         try:
-            with frame_messages(), progress(len(todo)) as tell:
+            with progress(len(todo)) as tell:
                 for outcome in outcomes:
                     self._note(outcome, tell)
                     refused = refused + 1 if outcome.failed_in == "write" else 0
