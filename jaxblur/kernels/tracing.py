@@ -16,9 +16,10 @@ from jax import lax
 from jax.extend import core
 from jaxtyping import Array
 
+from .inlining import inlined
 from .keys import Keyed, key_of, key_of_jaxpr
 from .places import results_of
-from .planes import evaluate, inlined
+from .planes import evaluate
 from .program import At, Image, Outcome, marks_primitive, sum_primitive
 
 Program = Callable[[At, Any, Any, Any], Outcome]
