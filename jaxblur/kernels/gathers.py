@@ -17,8 +17,8 @@ from ..settings import Backend
 from .cpp import native_gather
 from .keys import Keyed, key_of
 from .operators import Operator
+from .stages import Grid, Place, Stages
 from .sums import Plan, no_terms, on_cpu, replaced, sum_samples
-from .tracing import Grid, Place, Stages
 
 
 def run_stages(
@@ -246,19 +246,19 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     Their derivatives are then those of a sum, in native code too, and reverse mode computes these
     stages once more and keeps none of their dozens of planes.
     """
-    prepare, grid = functools.partial(_prepare, stages), plan.grid
-    local, tables = plan.operands(leaves)
-    values, structure = jax.tree.flatten(jax.eval_shape(prepare, grid.place(), local, tables)[1])
-    dtype = jnp.result_type(jnp.float32, *(value.dtype for value in values))
-    planes = tuple(k for k, value in enumerate(values) if value.ndim == 3)
+    grid = plan.grid
+    prepared, structure = jax.tree.flatten(stages.prepared)
+    dtype = jnp.result_type(jnp.float32, *(value.dtype for value in prepared))
+    planes = tuple(k for k, value in enumerate(prepared) if value.varies)
     everywhere = jnp.ones((grid.height, grid.width), bool)
     wanted, *found = sum_samples(
         *(_one_sample(stages, planes, dtype.name), 1, everywhere),
         *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
     )
-    if len(planes) < len(values):
+    values: list[Any] = prepared
+    if len(planes) < len(prepared):
         # Scalars are as fast to compute as to read.
-        values = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
+        values = jax.tree.leaves(_prepare(stages, grid.place(), *plan.operands(leaves))[1])
     values = replaced(values, planes, [plane[..., None] for plane in found])
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
 
@@ -366,7 +366,9 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
         if otherwise is not None:
             otherwise = keyed("otherwise", _flat(carrying(otherwise)))
         prepare = keyed("values", _flat(carrying(stages.prepare)))
-        return stages._replace(prepare=prepare, otherwise=otherwise)
+        return stages._replace(
+            prepare=prepare, otherwise=otherwise, prepared=stages.prepared * (1 + len(active))
+        )
 
     def sample(index: Any, place: Place, prepared: Any, tables: Any) -> tuple[Any, ...]:
         value, changes = prepared
@@ -396,6 +398,7 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
         sample=keyed("sample", sample),
         finish=keyed("finish", finish),
         limit=limit,
+        prepared=(stages.prepared, (stages.prepared,) * len(active)),
     )
 
 

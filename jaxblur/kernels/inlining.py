@@ -36,13 +36,13 @@ def live(equations: Sequence[Any], wanted: Sequence[Any], known: Sequence[Any] =
     Returns:
         Some of the equations, in order.
     """
-    known = set(known)
-    needed = {v for v in wanted if not isinstance(v, core.Literal)} - known
+    given = set(known)
+    needed = {v for v in wanted if not isinstance(v, core.Literal)} - given
     chosen = []
     for equation in reversed(equations):
         if not needed.isdisjoint(equation.outvars):
             needed.update(
-                v for v in equation.invars if not isinstance(v, core.Literal) and v not in known
+                v for v in equation.invars if not isinstance(v, core.Literal) and v not in given
             )
             chosen.append(equation)
     return chosen[::-1]

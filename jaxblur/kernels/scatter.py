@@ -9,8 +9,8 @@ from jaxtyping import Array, Int
 
 from ..settings import Backend
 from .cpp import native_marks
+from .stages import Grid, Stages
 from .sums import Plan, no_terms, on_cpu
-from .tracing import Grid, Stages
 
 
 def run_marks(

@@ -26,7 +26,7 @@ from ..settings import Backend
 from .cpp import native_gather, native_pull
 from .keys import Keyed, key_of
 from .operators import Operator
-from .tracing import Grid, Kind, Place, Stages, table_shape
+from .stages import Grid, Kind, Place, Stages, table_shape
 
 Terms = tuple[jax.Array, ...]
 Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
