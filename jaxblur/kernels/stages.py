@@ -1,12 +1,14 @@
 """What a program is cut into, and the sizes and types with which it runs."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+
+from .keys import Keyed
 
 _TABLE_ROWS = 1 << 20
 """Pixels of an image while it is traced; nothing depends on it."""
@@ -58,6 +60,29 @@ class Grid(NamedTuple):
         return Place(row, column, tuple(jnp.int32(size) for size in self.sizes))
 
 
+class Sample(Keyed):
+    """One sample: (index, place, local, tables) to its terms, of scalars and of planes.
+
+    Attributes:
+        types: names of the types of the terms.
+    """
+
+    def __init__(self, function: Callable[..., Any], key: str | None, types: Sequence[str]) -> None:
+        """Make it.
+
+        Args:
+            function: it.
+            key: None where it is not known.
+            types: names of the types of the terms.
+        """
+        super().__init__(function, key)
+        self.types = tuple(types)
+
+
+NO_TERMS = Sample(lambda *_: (), "no terms", ())
+"""The sample of a program without a sum."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Prepared:
     """A value that is found before the samples; a leaf of the structure that `prepare` returns.
@@ -94,7 +119,7 @@ class Stages(NamedTuple):
     where: Callable[..., Any]
     prepare: Callable[..., Any]
     otherwise: Callable[..., Any] | None = None
-    sample: Callable[..., Any] | None = None
+    sample: Sample | None = None
     finish: Callable[..., Any] | None = None
     limit: Callable[..., Any] | None = None
     samples: int = 1

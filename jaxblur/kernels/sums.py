@@ -26,10 +26,9 @@ from ..settings import Backend
 from .cpp import native_gather, native_pull
 from .keys import Keyed, key_of
 from .operators import Operator
-from .stages import Grid, Kind, Place, Stages, table_shape
+from .stages import Grid, Place, Sample, Stages
 
 Terms = tuple[jax.Array, ...]
-Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
 
 
 class Plan(NamedTuple):
@@ -62,11 +61,6 @@ class Plan(NamedTuple):
         """Leaves as (channels of each local one, flat tables)."""
         local = [channels_of(leaf) for leaf in leaves[: self.locals]]
         return local, [table.reshape(-1) for table in leaves[self.locals :]]
-
-
-def no_terms(*_: Any) -> tuple[()]:
-    """The sample of a program without a sum."""
-    return ()
 
 
 def channels_of(leaf: jax.Array) -> tuple[jax.Array, ...]:
@@ -155,7 +149,7 @@ def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
         zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
         return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
-    return lax.cond(jnp.any(moving), sums, lambda *leaves: _zero_sums(plan, leaves), *leaves)
+    return lax.cond(jnp.any(moving), sums, lambda *_: _zero_sums(plan), *leaves)
 
 
 def on_cpu(native: Callable[..., Any], other: Callable[..., Any], *operands: jax.Array) -> Any:
@@ -170,35 +164,15 @@ def _add(totals: Terms, more: Terms) -> Terms:
     return tuple(a + b for a, b in zip(totals, more, strict=True))
 
 
-def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+def _shapes(plan: Plan) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
-    kinds = tuple(Kind(leaf.dtype.name, leaf.shape[-1] if leaf.ndim else 0) for leaf in leaves)
-    x64 = jnp.result_type(float) == jnp.float64
-    types = _types(plan.sample, kinds, plan.locals, len(plan.grid.sizes), x64)
-    return [jax.ShapeDtypeStruct((plan.grid.height, plan.grid.width), of) for of in types]
+    plane = plan.grid.height, plan.grid.width
+    return [jax.ShapeDtypeStruct(plane, jnp.dtype(of)) for of in plan.sample.types]
 
 
-@functools.lru_cache(maxsize=512)
-def _types(
-    sample: Sample, kinds: tuple[Kind, ...], locals_: int, sizes: int, _x64: bool
-) -> tuple[Any, ...]:
-    """Types of the terms, from one evaluation on scalars.
-
-    One on planes takes several times as long to trace, and a derivative asks for them often.
-    """
-    index = jax.ShapeDtypeStruct((), jnp.int32)
-    local = [
-        tuple(jax.ShapeDtypeStruct((), kind.dtype) for _ in range(max(kind.channels, 1)))
-        for kind in kinds[:locals_]
-    ]
-    tables = [table_shape(kind) for kind in kinds[locals_:]]
-    terms = jax.eval_shape(sample, index, Place(index, index, (index,) * sizes), local, tables)
-    return tuple(term.dtype for term in terms)
-
-
-def _zero_sums(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
+def _zero_sums(plan: Plan) -> Terms:
     """Sums of no samples."""
-    return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan, leaves))
+    return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan))
 
 
 def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
@@ -208,7 +182,7 @@ def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
         terms = jax.checkpoint(plan.terms)(index[None], leaves)
         return _add(totals, tuple(term[..., 0] for term in terms)), None
 
-    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.samples, dtype=jnp.int32))[0]
+    return lax.scan(step, _zero_sums(plan), jnp.arange(plan.samples, dtype=jnp.int32))[0]
 
 
 def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
@@ -230,16 +204,15 @@ def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     return _sum(plan, moving, leaves), tuple(change)
 
 
-_sum_operator = Operator(
-    "sum_samples", _sums, lambda plan, operands: _shapes(plan, operands[1:]), _sum_jvp
-)
+_sum_operator = Operator("sum_samples", _sums, lambda plan, _: _shapes(plan), _sum_jvp)
 
 
 @functools.lru_cache(maxsize=512)
 def _augmented(sample: Sample, active: tuple[int, ...]) -> Sample:
     """`_with_derivatives` of a sample."""
     augmented = functools.partial(_with_derivatives, sample, active)
-    return Keyed(augmented, key_of(("augmented", sample, active)))
+    types = sample.types * (1 + len(active))
+    return Sample(augmented, key_of(("augmented", sample, active)), types)
 
 
 def _with_derivatives(
@@ -378,10 +351,9 @@ def _push_by_scan(*operands: Any, plan: Plan, active: tuple[int, ...]) -> Terms:
     return _pushed(plan, active, leaves, directions)
 
 
-def _push_shapes(*operands: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
+def _push_shapes(*_: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
     """Shapes and types of the change, those of the sums."""
-    _, leaves, _ = _split(operands, active)
-    return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan, leaves)]
+    return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan)]
 
 
 def _push_transpose(images: Any, *operands: Any, plan: Plan, active: tuple[int, ...]) -> list[Any]:

@@ -21,7 +21,7 @@ from .places import results_of
 from .planes import evaluate
 from .program import At, Image, Outcome, marks_primitive, sum_primitive
 from .reads import place_primitive
-from .stages import Kind, Place, Prepared, Stages, table_shape
+from .stages import Kind, Place, Prepared, Sample, Stages, table_shape
 
 Program = Callable[[At, Any, Any, Any], Outcome]
 
@@ -307,7 +307,11 @@ class _Cut:
         return Stages(
             where=self._keyed("where", self._where),
             prepare=self._keyed("prepare", self._prepare),
-            sample=self._keyed("sample", self._sample),
+            sample=Sample(
+                self._sample,
+                self._key_of("sample"),
+                [variable.aval.dtype.name for variable in loop.outvars],
+            ),
             finish=self._keyed("finish", self._finish),
             limit=self._keyed("limit", self._limit) if loop.params["limited"] else None,
             samples=loop.params["count"],
@@ -331,7 +335,10 @@ class _Cut:
 
     def _keyed(self, stage: str, function: Callable[..., Any]) -> Keyed:
         """A stage, with the key of the program and its own name."""
-        return Keyed(function, None if self.key is None else key_of((self.key, stage)))
+        return Keyed(function, self._key_of(stage))
+
+    def _key_of(self, stage: str) -> str | None:
+        return None if self.key is None else key_of((self.key, stage))
 
     def _inputs(self, place: Place, local: Any, tables: Any) -> dict[Any, Any]:
         """Values of the inputs."""
