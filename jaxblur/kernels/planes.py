@@ -66,12 +66,21 @@ def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
     if name in SAME and equation.outvars[0].aval.size == 1:
         return [inputs[0]]
     if name in ELEMENTWISE:
-        if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
-            inputs = list(jnp.broadcast_arrays(*inputs))
+        shapes = {value.shape for value in inputs}
+        if len(shapes) > 1:
+            inputs = [_broadcast(value, np.broadcast_shapes(*shapes)) for value in inputs]
         return [equation.primitive.bind(*inputs, **parameters)]
     if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
         return _loop(equation, inputs)
     return _one_by_one(equation, inputs)
+
+
+def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
+    """An array as one of another shape, by one operation; `jax.numpy` makes two and is slower."""
+    if value.shape == shape:
+        return value
+    axes = tuple(range(len(shape) - value.ndim, len(shape)))
+    return lax.broadcast_in_dim(value, shape, axes)
 
 
 def _loop(equation: Any, inputs: list[Any]) -> list[Any]:

@@ -50,6 +50,10 @@ class Plan(NamedTuple):
     grid: Grid
     locals: int
 
+    def numbers(self) -> jax.Array:
+        """Numbers of the samples, (N,)."""
+        return jnp.arange(self.samples, dtype=jnp.int32)
+
     def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
         """The terms of the samples of these numbers."""
         place = self.grid.place()
@@ -145,7 +149,7 @@ def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """
 
     def sums(*leaves: jax.Array) -> Terms:
-        terms = plan.terms(jnp.arange(plan.samples, dtype=jnp.int32), leaves)
+        terms = plan.terms(plan.numbers(), leaves)
         zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
         return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
@@ -173,16 +177,6 @@ def _shapes(plan: Plan) -> list[jax.ShapeDtypeStruct]:
 def _zero_sums(plan: Plan) -> Terms:
     """Sums of no samples."""
     return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan))
-
-
-def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
-    """The same sums, one sample after the other; transposes without keeping any sample."""
-
-    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
-        terms = jax.checkpoint(plan.terms)(index[None], leaves)
-        return _add(totals, tuple(term[..., 0] for term in terms)), None
-
-    return lax.scan(step, _zero_sums(plan), jnp.arange(plan.samples, dtype=jnp.int32))[0]
 
 
 def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
@@ -253,10 +247,18 @@ def _local_derivatives(
 def _pushed(plan: Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
     """Change of the sums as the active leaves change, sample after sample."""
 
-    def sums(values: Any) -> Terms:
-        return _sum_by_scan(plan, replaced(leaves, active, values))
+    @jax.checkpoint
+    def change(index: jax.Array, values: list[Any], directions: list[Any]) -> Terms:
+        def terms(values: Any) -> Terms:
+            return plan.terms(index, replaced(leaves, active, values))
 
-    return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
+        return jax.jvp(terms, (values,), (directions,))[1]
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        changes = change(index[None], [leaves[k] for k in active], list(directions))
+        return _add(totals, tuple(term[..., 0] for term in changes)), None
+
+    return lax.scan(step, _zero_sums(plan), plan.numbers())[0]
 
 
 class _Pull(NamedTuple):
@@ -304,13 +306,24 @@ def _like(leaf: jax.Array, is_table: bool, values: Iterator[jax.Array]) -> jax.A
     return jnp.stack([next(values) for _ in range(leaf.shape[-1])], axis=-1)
 
 
-def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
-    """The same by reverse mode over the scan."""
+def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Terms:
+    """The same by XLA, sample after sample; none of them is kept."""
 
-    def sums(*values: Any) -> Terms:
-        return _sum_by_scan(plan, replaced(leaves, active, values))
+    @jax.checkpoint
+    def pull(index: jax.Array, values: list[Any], images: list[Any]) -> Terms:
+        def terms(*values: Any) -> Terms:
+            found = plan.terms(index, replaced(leaves, active, values))
+            return tuple(term[..., 0] for term in found)
 
-    return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
+        return tuple(jax.vjp(terms, *values)[1](tuple(images)))
+
+    values = [leaves[k] for k in active]
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        return _add(totals, pull(index[None], values, list(images))), None
+
+    zeros = tuple(jnp.zeros_like(value) for value in values)
+    return lax.scan(step, zeros, plan.numbers(), reverse=True)[0]
 
 
 def _pull_jvp(static: _Pull, primals: Any, tangents: Any) -> tuple[Any, Any]:
