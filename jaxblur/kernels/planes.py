@@ -44,6 +44,7 @@ def evaluate(
         A function from a variable or a literal to its value.
     """
     values = dict(values)
+    spread: dict[Any, Any] = {}
 
     def look(atom: Any) -> Any:
         if isinstance(atom, core.Literal):
@@ -53,11 +54,12 @@ def evaluate(
     chosen = equations if wanted is None else live(equations, wanted)
     for equation in chosen:
         inputs = [look(atom) for atom in equation.invars]
-        values.update(zip(equation.outvars, _equation(equation, inputs), strict=True))
+        values.update(zip(equation.outvars, _equation(equation, inputs, spread), strict=True))
     return look
 
 
-def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
+def _equation(equation: Any, inputs: list[Any], spread: dict[Any, Any]) -> list[Any]:
+    """Results of an equation; `spread` keeps the literals that fill planes."""
     name, parameters = equation.primitive.name, equation.params
     if equation.primitive is place_primitive:
         return texel_of(*inputs, **parameters)
@@ -68,19 +70,29 @@ def _equation(equation: Any, inputs: list[Any]) -> list[Any]:
     if name in ELEMENTWISE:
         shapes = {value.shape for value in inputs}
         if len(shapes) > 1:
-            inputs = [_broadcast(value, np.broadcast_shapes(*shapes)) for value in inputs]
+            shape = np.broadcast_shapes(*shapes)
+            inputs = [_broadcast(value, shape, spread) for value in inputs]
         return [equation.primitive.bind(*inputs, **parameters)]
     if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
         return _loop(equation, inputs)
     return _one_by_one(equation, inputs)
 
 
-def _broadcast(value: Any, shape: tuple[int, ...]) -> Any:
-    """An array as one of another shape, by one operation; `jax.numpy` makes two and is slower."""
+def _broadcast(value: Any, shape: tuple[int, ...], spread: dict[Any, Any]) -> Any:
+    """A value as an array of a shape.
+
+    A literal becomes one plane, however often it is used: half of the operations that XLA gets
+    would be literals and their planes. `jax.numpy.broadcast_to` makes two operations of each.
+    """
     if value.shape == shape:
         return value
     axes = tuple(range(len(shape) - value.ndim, len(shape)))
-    return lax.broadcast_in_dim(value, shape, axes)
+    if not isinstance(value, np.ndarray | np.generic):
+        return lax.broadcast_in_dim(value, shape, axes)
+    key = value.dtype, value.tobytes(), shape
+    if key not in spread:
+        spread[key] = lax.broadcast_in_dim(value, shape, axes)
+    return spread[key]
 
 
 def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
