@@ -87,12 +87,14 @@ def _broadcast(value: Any, shape: tuple[int, ...], spread: dict[Any, Any]) -> An
     if value.shape == shape:
         return value
     axes = tuple(range(len(shape) - value.ndim, len(shape)))
-    if not isinstance(value, np.ndarray | np.generic):
-        return lax.broadcast_in_dim(value, shape, axes)
-    key = value.dtype, value.tobytes(), shape
-    if key not in spread:
-        spread[key] = lax.broadcast_in_dim(value, shape, axes)
-    return spread[key]
+    is_literal = isinstance(value, np.ndarray | np.generic)
+    key = (value.dtype, value.tobytes(), shape) if is_literal else None
+    if key in spread:
+        return spread[key]
+    filled = lax.broadcast_in_dim(value, shape, axes)
+    if is_literal:
+        spread[key] = filled
+    return filled
 
 
 def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
