@@ -310,19 +310,19 @@ def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any)
     """The same by XLA, sample after sample; none of them is kept."""
 
     @jax.checkpoint
-    def pull(index: jax.Array, values: list[Any], images: list[Any]) -> Terms:
+    def pull(index: jax.Array, leaves: list[Any], images: list[Any]) -> Terms:
         def terms(*values: Any) -> Terms:
             found = plan.terms(index, replaced(leaves, active, values))
             return tuple(term[..., 0] for term in found)
 
-        return tuple(jax.vjp(terms, *values)[1](tuple(images)))
-
-    values = [leaves[k] for k in active]
+        return tuple(jax.vjp(terms, *(leaves[k] for k in active))[1](tuple(images)))
 
     def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
-        return _add(totals, pull(index[None], values, list(images))), None
+        # What does not depend on the sample would be computed before the loop, and kept.
+        operands = lax.optimization_barrier((index[None], list(leaves), list(images)))
+        return _add(totals, pull(*operands)), None
 
-    zeros = tuple(jnp.zeros_like(value) for value in values)
+    zeros = tuple(jnp.zeros_like(leaves[k]) for k in active)
     return lax.scan(step, zeros, plan.numbers(), reverse=True)[0]
 
 
