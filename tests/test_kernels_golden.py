@@ -14,7 +14,8 @@ import pytest
 import jaxblur
 from jaxblur.kernels import Image, Outcome, each_pixel, mark_over, recorded_passes, sum_over
 from jaxblur.kernels.cpp import emit
-from jaxblur.kernels.tracing import Kind, trace
+from jaxblur.kernels.stages import Kind
+from jaxblur.kernels.tracing import trace
 from tests.helpers import random_frame
 
 FOLDER = Path(__file__).parent / "data" / "kernels"

@@ -18,8 +18,8 @@ from jax.extend import core
 from ..filters import FilterInfo, Parameters
 from ..frame import Frame
 from ..kernels import Pass, passes_as_equations
+from ..kernels.inlining import opened
 from ..kernels.passes import pass_primitive
-from ..kernels.planes import opened
 from ..kernels.tracing import trace
 from ..noise import Noise
 from ..settings import Settings

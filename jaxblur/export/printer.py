@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax.extend import core
 
-from ..kernels.planes import opened
+from ..kernels.inlining import opened
 from ..kernels.program import marks_primitive, sum_primitive
 from ..kernels.reads import place_primitive
 from .expressions import ATOM, Dialect, NotExpressible, Value

@@ -17,8 +17,8 @@ from ..settings import Backend
 from .cpp import native_gather
 from .keys import Keyed, key_of
 from .operators import Operator
-from .sums import Plan, no_terms, on_cpu, replaced, sum_samples
-from .tracing import Grid, Place, Stages
+from .stages import NO_TERMS, Grid, Place, Sample, Stages
+from .sums import Plan, on_cpu, replaced, sum_samples
 
 
 def run_stages(
@@ -49,7 +49,7 @@ def run_stages(
     Raises:
         ValueError: the backend is ``native`` and there is no compiler, or no native form.
     """
-    sample = stages.sample or no_terms
+    sample = stages.sample or NO_TERMS
     plan = Plan(sample, stages.limit, stages.samples, backend, grid, len(local))
     leaves = [jnp.asarray(leaf) for leaf in (*local, *tables)]
     static = _Gather(plan, stages, len(leaves), len(results), jnp.result_type(*results))
@@ -222,14 +222,14 @@ def _image(shape: tuple[int, int, int], planes: Sequence[jax.Array]) -> jax.Arra
 # Equal arguments give the same function: it is a part of the key under which a kernel is kept once
 # it is printed.
 @functools.lru_cache(maxsize=512)
-def _of_planes(sample: Callable[..., Any], structure: Any) -> Callable[..., Any]:
+def _of_planes(sample: Sample, structure: Any) -> Sample:
     """A sample that takes each prepared value as an image of one channel."""
 
     def of_planes(index: Any, place: Place, local: Any, tables: Any) -> Any:
         prepared = jax.tree.unflatten(structure, [value for (value,) in local])
         return sample(index, place, prepared, tables)
 
-    return Keyed(of_planes, key_of(("of planes", sample, str(structure))))
+    return Sample(of_planes, key_of(("of planes", sample, str(structure))), sample.types)
 
 
 @functools.lru_cache(maxsize=512)
@@ -246,19 +246,19 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     Their derivatives are then those of a sum, in native code too, and reverse mode computes these
     stages once more and keeps none of their dozens of planes.
     """
-    prepare, grid = functools.partial(_prepare, stages), plan.grid
-    local, tables = plan.operands(leaves)
-    values, structure = jax.tree.flatten(jax.eval_shape(prepare, grid.place(), local, tables)[1])
-    dtype = jnp.result_type(jnp.float32, *(value.dtype for value in values))
-    planes = tuple(k for k, value in enumerate(values) if value.ndim == 3)
+    grid = plan.grid
+    prepared, structure = jax.tree.flatten(stages.prepared)
+    dtype = jnp.result_type(jnp.float32, *(value.dtype for value in prepared))
+    planes = tuple(k for k, value in enumerate(prepared) if value.varies)
     everywhere = jnp.ones((grid.height, grid.width), bool)
     wanted, *found = sum_samples(
         *(_one_sample(stages, planes, dtype.name), 1, everywhere),
         *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
     )
-    if len(planes) < len(values):
+    values: list[Any] = prepared
+    if len(planes) < len(prepared):
         # Scalars are as fast to compute as to read.
-        values = jax.tree.leaves(prepare(grid.place(), local, tables)[1])
+        values = jax.tree.leaves(_prepare(stages, grid.place(), *plan.operands(leaves))[1])
     values = replaced(values, planes, [plane[..., None] for plane in found])
     return wanted[..., None] > 0, jax.tree.unflatten(structure, values)
 
@@ -274,7 +274,7 @@ def _prepare(stages: Stages, place: Place, local: Any, tables: Any) -> tuple[Any
 
 
 @functools.lru_cache(maxsize=512)
-def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Callable[..., Any]:
+def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Sample:
     """The preparation as a sample: whether results are wanted, and those values that are planes."""
 
     def one_sample(_: Any, place: Place, local: Any, tables: Any) -> list[Any]:
@@ -282,7 +282,8 @@ def _one_sample(stages: Stages, planes: tuple[int, ...], dtype: str) -> Callable
         values = jax.tree.leaves(prepared)
         return [wanted.astype(dtype), *(values[k].astype(dtype) for k in planes)]
 
-    return Keyed(one_sample, key_of(("one sample", tuple(stages), planes, dtype)))
+    key = key_of(("one sample", tuple(stages), planes, dtype))
+    return Sample(one_sample, key, [dtype] * (1 + len(planes)))
 
 
 def _gather_jvp(
@@ -357,8 +358,11 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
     """Stages that carry the derivative with respect to each active scalar along."""
     carrying = functools.partial(_carrying, stages, active)
 
+    def key(name: str) -> str | None:
+        return key_of(("carrying", name, tuple(stages), active))
+
     def keyed(name: str, stage: Callable[..., Any]) -> Keyed:
-        return Keyed(stage, key_of(("carrying", name, tuple(stages), active)))
+        return Keyed(stage, key(name))
 
     whole_sample, whole_finish = stages.sample, stages.finish
     if whole_sample is None or whole_finish is None:
@@ -366,7 +370,9 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
         if otherwise is not None:
             otherwise = keyed("otherwise", _flat(carrying(otherwise)))
         prepare = keyed("values", _flat(carrying(stages.prepare)))
-        return stages._replace(prepare=prepare, otherwise=otherwise)
+        return stages._replace(
+            prepare=prepare, otherwise=otherwise, prepared=stages.prepared * (1 + len(active))
+        )
 
     def sample(index: Any, place: Place, prepared: Any, tables: Any) -> tuple[Any, ...]:
         value, changes = prepared
@@ -393,9 +399,10 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
         limit = keyed("limit", functools.partial(_of_value, limit))
     return stages._replace(
         prepare=keyed("prepare", carrying(stages.prepare)),
-        sample=keyed("sample", sample),
+        sample=Sample(sample, key("sample"), whole_sample.types * (1 + len(active))),
         finish=keyed("finish", finish),
         limit=limit,
+        prepared=(stages.prepared, (stages.prepared,) * len(active)),
     )
 
 

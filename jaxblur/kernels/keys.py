@@ -6,6 +6,7 @@ has a key: the text of the jaxpr, and the names of the steps that led from it to
 """
 
 import enum
+import functools
 import hashlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -78,8 +79,8 @@ def _lines(jaxpr: Any) -> list[str]:
 
     def name(atom: Any) -> str:
         if isinstance(atom, core.Literal):
-            return _of_array(atom.val) + str(atom.aval)
-        return f"{numbers.setdefault(atom, len(numbers))}:{atom.aval}"
+            return _of_array(atom.val) + _of_type(atom.aval)
+        return f"{numbers.setdefault(atom, len(numbers))}:{_of_type(atom.aval)}"
 
     lines = [" ".join(map(name, [*jaxpr.constvars, *jaxpr.invars]))]
     for equation in jaxpr.eqns:
@@ -100,6 +101,9 @@ def _text(value: Any) -> str:
     if value is None or isinstance(value, bool | int | float | str | enum.Enum | np.dtype):
         return repr(value)
     raise _UnknownError(f"{value!r}")
+
+
+_of_type = functools.lru_cache(maxsize=512)(str)
 
 
 def _of_array(value: Any) -> str:

@@ -18,7 +18,8 @@ from ..settings import Backend
 from .gathers import run_stages
 from .program import At, Image, Outcome
 from .scatter import run_marks
-from .tracing import Grid, Program, Traced, flatten, trace
+from .stages import Grid
+from .tracing import Program, Traced, flatten, trace
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -33,7 +33,8 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jax.extend import core
 
-from .planes import evaluate, live
+from .inlining import live
+from .planes import evaluate
 from .reads import place_primitive, rounded, texel_of
 
 

@@ -5,7 +5,6 @@ pixels (H, W, n); operands broadcast against one another as in NumPy. On scalars
 evaluation, so that the same code serves tracing for C++ and running by XLA.
 """
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,13 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend import core, source_info_util
+from jax.extend import core
 
+from .inlining import SAME, live, opened
 from .reads import place_primitive, read_table, texel_of
-
-_SAME = {"broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze"}
-"""Operations that leave a scalar as it is."""
-_INNER = {"jit", "pjit", "closed_call", "core_call"}
 
 ELEMENTWISE = {
     *("abs", "add", "add_any", "and", "atan2", "cbrt", "ceil", "clamp", "convert_element_type"),
@@ -31,46 +27,24 @@ ELEMENTWISE = {
 }
 
 
-def opened(jaxpr: Any) -> tuple[Any, Sequence[Any]]:
-    """A jaxpr and its constants; versions of JAX differ in whether it comes closed."""
-    return (jaxpr.jaxpr, jaxpr.consts) if isinstance(jaxpr, core.ClosedJaxpr) else (jaxpr, ())
-
-
-def inlined(closed: Any) -> Any:
-    """The same jaxpr of scalars without calls of other jaxprs; equations know their lines."""
-    jaxpr = closed.jaxpr
-
-    def run(*inputs: Any) -> list[Any]:
-        values = dict(zip(jaxpr.constvars, closed.consts, strict=True))
-        values |= zip(jaxpr.invars, inputs, strict=True)
-        look = evaluate(jaxpr.eqns, values, keeps_places=True, keeps_lines=True)
-        return [look(variable) for variable in jaxpr.outvars]
-
-    shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in jaxpr.invars]
-    return jax.make_jaxpr(run)(*shapes)
-
-
 def evaluate(
     equations: Sequence[Any],
     values: dict[Any, Any],
     wanted: Sequence[Any] | None = None,
-    keeps_places: bool = False,
-    keeps_lines: bool = False,
 ) -> Callable[[Any], Any]:
     """Evaluate equations.
 
     Args:
-        equations: of a jaxpr of scalars, in order.
+        equations: of a jaxpr of scalars without inner calls, in order.
         values: of the variables that are known.
         wanted: variables that are needed; equations that they do not depend on are left out. All
             equations if None.
-        keeps_places: whether `nearest_place` stays an operation of its own.
-        keeps_lines: whether equations that this makes are of the lines of those evaluated.
 
     Returns:
         A function from a variable or a literal to its value.
     """
     values = dict(values)
+    spread: dict[Any, Any] = {}
 
     def look(atom: Any) -> Any:
         if isinstance(atom, core.Literal):
@@ -80,61 +54,50 @@ def evaluate(
     chosen = equations if wanted is None else live(equations, wanted)
     for equation in chosen:
         inputs = [look(atom) for atom in equation.invars]
-        source = contextlib.nullcontext()
-        if keeps_lines:
-            source = source_info_util.user_context(equation.source_info.traceback)
-        with source:
-            results = _equation(equation, inputs, keeps_places, keeps_lines)
-        values.update(zip(equation.outvars, results, strict=True))
+        values.update(zip(equation.outvars, _equation(equation, inputs, spread), strict=True))
     return look
 
 
-def live(equations: Sequence[Any], wanted: Sequence[Any], known: Sequence[Any] = ()) -> list[Any]:
-    """The equations that the wanted variables depend on.
-
-    Args:
-        equations: of a jaxpr, in order.
-        wanted: variables or literals.
-        known: variables whose values are known.
-
-    Returns:
-        Some of the equations, in order.
-    """
-    needed = {v for v in wanted if not isinstance(v, core.Literal)} - set(known)
-    chosen = []
-    for equation in reversed(equations):
-        if needed & set(equation.outvars):
-            needed |= {v for v in equation.invars if not isinstance(v, core.Literal)} - set(known)
-            chosen.append(equation)
-    return chosen[::-1]
-
-
-def _equation(equation: Any, inputs: list[Any], keeps_places: bool, keeps_lines: bool) -> list[Any]:
+def _equation(equation: Any, inputs: list[Any], spread: dict[Any, Any]) -> list[Any]:
+    """Results of an equation; `spread` keeps the literals that fill planes."""
     name, parameters = equation.primitive.name, equation.params
     if equation.primitive is place_primitive:
-        find = place_primitive.bind if keeps_places else texel_of
-        return find(*inputs, **parameters)
-    if name in _INNER:
-        inner, constants = opened(parameters.get("jaxpr") or parameters.get("call_jaxpr"))
-        values = dict(zip(inner.constvars, constants, strict=True))
-        values |= zip(inner.invars, inputs, strict=True)
-        # Lines inside would be those of whoever was the first to call it: traces are kept.
-        look = evaluate(inner.eqns, values, inner.outvars, keeps_places)
-        return [look(variable) for variable in inner.outvars]
+        return texel_of(*inputs, **parameters)
     if name == "gather" and equation.invars[0].aval.ndim == 1:
         return [read_table(*inputs)]
-    if name in _SAME and equation.outvars[0].aval.size == 1:
+    if name in SAME and equation.outvars[0].aval.size == 1:
         return [inputs[0]]
     if name in ELEMENTWISE:
-        if not all(np.shape(value) == np.shape(inputs[0]) for value in inputs):
-            inputs = list(jnp.broadcast_arrays(*inputs))
+        shapes = {value.shape for value in inputs}
+        if len(shapes) > 1:
+            shape = np.broadcast_shapes(*shapes)
+            inputs = [_broadcast(value, shape, spread) for value in inputs]
         return [equation.primitive.bind(*inputs, **parameters)]
     if name == "scan" and parameters["num_consts"] + parameters["num_carry"] == len(inputs):
-        return _loop(equation, inputs, keeps_lines)
+        return _loop(equation, inputs)
     return _one_by_one(equation, inputs)
 
 
-def _loop(equation: Any, inputs: list[Any], keeps_lines: bool) -> list[Any]:
+def _broadcast(value: Any, shape: tuple[int, ...], spread: dict[Any, Any]) -> Any:
+    """A value as an array of a shape.
+
+    A literal becomes one plane, however often it is used: half of the operations that XLA gets
+    would be literals and their planes. `jax.numpy.broadcast_to` makes two operations of each.
+    """
+    if value.shape == shape:
+        return value
+    axes = tuple(range(len(shape) - value.ndim, len(shape)))
+    is_literal = isinstance(value, np.ndarray | np.generic)
+    key = (value.dtype, value.tobytes(), shape) if is_literal else None
+    if key in spread:
+        return spread[key]
+    filled = lax.broadcast_in_dim(value, shape, axes)
+    if is_literal:
+        spread[key] = filled
+    return filled
+
+
+def _loop(equation: Any, inputs: list[Any]) -> list[Any]:
     """A loop that carries values on, as `lax.fori_loop` of known length makes it."""
     parameters, constants = equation.params, equation.params["num_consts"]
     body, closed_over = opened(parameters["jaxpr"])
@@ -145,7 +108,7 @@ def _loop(equation: Any, inputs: list[Any], keeps_lines: bool) -> list[Any]:
 
     def step(carried: list[Any], _: None) -> tuple[list[Any], None]:
         values = known | dict(zip(body.invars[constants:], carried, strict=True))
-        look = evaluate(body.eqns, values, body.outvars, keeps_lines=keeps_lines)
+        look = evaluate(body.eqns, values, body.outvars)
         return [jnp.broadcast_to(look(variable), shape) for variable in body.outvars], None
 
     start = [jnp.broadcast_to(value, shape) for value in inputs[constants:]]

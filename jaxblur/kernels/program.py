@@ -19,7 +19,7 @@ from jax.extend.core import Primitive
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from .planes import inlined
+from .inlining import inlined
 from .reads import read_table
 
 T = TypeVar("T")

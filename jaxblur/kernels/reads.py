@@ -29,7 +29,7 @@ def read_table(table: jax.Array, index: Array) -> Array:
         Values of the index's shape.
     """
     return lax.gather(
-        *(table, index[..., None], _ONE_ELEMENT, (1,)),
+        *(table, lax.expand_dims(index, (index.ndim,)), _ONE_ELEMENT, (1,)),
         mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
     )
 

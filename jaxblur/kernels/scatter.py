@@ -9,8 +9,8 @@ from jaxtyping import Array, Int
 
 from ..settings import Backend
 from .cpp import native_marks
-from .sums import Plan, no_terms, on_cpu
-from .tracing import Grid, Stages
+from .stages import NO_TERMS, Grid, Stages
+from .sums import Plan, on_cpu
 
 
 def run_marks(
@@ -41,7 +41,7 @@ def run_marks(
     """
 
     def by_xla(*leaves: jax.Array) -> jax.Array:
-        return _by_scatter(stages, Plan(no_terms, None, 0, backend, grid, locals_), leaves, length)
+        return _by_scatter(stages, Plan(NO_TERMS, None, 0, backend, grid, locals_), leaves, length)
 
     native = native_marks(stages, leaves, locals_, grid, length, backend, apart)
     if native is None:

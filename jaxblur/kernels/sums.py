@@ -26,10 +26,9 @@ from ..settings import Backend
 from .cpp import native_gather, native_pull
 from .keys import Keyed, key_of
 from .operators import Operator
-from .tracing import Grid, Kind, Place, Stages, table_shape
+from .stages import Grid, Place, Sample, Stages
 
 Terms = tuple[jax.Array, ...]
-Sample = Callable[[Any, Place, Any, Any], Sequence[Any]]
 
 
 class Plan(NamedTuple):
@@ -51,6 +50,10 @@ class Plan(NamedTuple):
     grid: Grid
     locals: int
 
+    def numbers(self) -> jax.Array:
+        """Numbers of the samples, (N,)."""
+        return jnp.arange(self.samples, dtype=jnp.int32)
+
     def terms(self, index: jax.Array, leaves: Sequence[jax.Array]) -> Terms:
         """The terms of the samples of these numbers."""
         place = self.grid.place()
@@ -62,11 +65,6 @@ class Plan(NamedTuple):
         """Leaves as (channels of each local one, flat tables)."""
         local = [channels_of(leaf) for leaf in leaves[: self.locals]]
         return local, [table.reshape(-1) for table in leaves[self.locals :]]
-
-
-def no_terms(*_: Any) -> tuple[()]:
-    """The sample of a program without a sum."""
-    return ()
 
 
 def channels_of(leaf: jax.Array) -> tuple[jax.Array, ...]:
@@ -151,11 +149,11 @@ def _sum_by_xla(plan: Plan, moving: jax.Array, *leaves: jax.Array) -> Terms:
     """
 
     def sums(*leaves: jax.Array) -> Terms:
-        terms = plan.terms(jnp.arange(plan.samples, dtype=jnp.int32), leaves)
+        terms = plan.terms(plan.numbers(), leaves)
         zeros = tuple(jnp.zeros((), term.dtype) for term in terms)
         return tuple(lax.reduce(terms, zeros, _add, (2,)))
 
-    return lax.cond(jnp.any(moving), sums, lambda *leaves: _zero_sums(plan, leaves), *leaves)
+    return lax.cond(jnp.any(moving), sums, lambda *_: _zero_sums(plan), *leaves)
 
 
 def on_cpu(native: Callable[..., Any], other: Callable[..., Any], *operands: jax.Array) -> Any:
@@ -170,45 +168,15 @@ def _add(totals: Terms, more: Terms) -> Terms:
     return tuple(a + b for a, b in zip(totals, more, strict=True))
 
 
-def _shapes(plan: Plan, leaves: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+def _shapes(plan: Plan) -> list[jax.ShapeDtypeStruct]:
     """Shapes and types of the sums."""
-    kinds = tuple(Kind(leaf.dtype.name, leaf.shape[-1] if leaf.ndim else 0) for leaf in leaves)
-    x64 = jnp.result_type(float) == jnp.float64
-    types = _types(plan.sample, kinds, plan.locals, len(plan.grid.sizes), x64)
-    return [jax.ShapeDtypeStruct((plan.grid.height, plan.grid.width), of) for of in types]
+    plane = plan.grid.height, plan.grid.width
+    return [jax.ShapeDtypeStruct(plane, jnp.dtype(of)) for of in plan.sample.types]
 
 
-@functools.lru_cache(maxsize=512)
-def _types(
-    sample: Sample, kinds: tuple[Kind, ...], locals_: int, sizes: int, _x64: bool
-) -> tuple[Any, ...]:
-    """Types of the terms, from one evaluation on scalars.
-
-    One on planes takes several times as long to trace, and a derivative asks for them often.
-    """
-    index = jax.ShapeDtypeStruct((), jnp.int32)
-    local = [
-        tuple(jax.ShapeDtypeStruct((), kind.dtype) for _ in range(max(kind.channels, 1)))
-        for kind in kinds[:locals_]
-    ]
-    tables = [table_shape(kind) for kind in kinds[locals_:]]
-    terms = jax.eval_shape(sample, index, Place(index, index, (index,) * sizes), local, tables)
-    return tuple(term.dtype for term in terms)
-
-
-def _zero_sums(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
+def _zero_sums(plan: Plan) -> Terms:
     """Sums of no samples."""
-    return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan, leaves))
-
-
-def _sum_by_scan(plan: Plan, leaves: Sequence[jax.Array]) -> Terms:
-    """The same sums, one sample after the other; transposes without keeping any sample."""
-
-    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
-        terms = jax.checkpoint(plan.terms)(index[None], leaves)
-        return _add(totals, tuple(term[..., 0] for term in terms)), None
-
-    return lax.scan(step, _zero_sums(plan, leaves), jnp.arange(plan.samples, dtype=jnp.int32))[0]
+    return tuple(jnp.zeros(shape.shape, shape.dtype) for shape in _shapes(plan))
 
 
 def replaced(leaves: Sequence[Any], positions: Sequence[int], values: Sequence[Any]) -> list[Any]:
@@ -230,16 +198,15 @@ def _sum_jvp(plan: Plan, primals: Any, tangents: Any) -> tuple[Terms, Terms]:
     return _sum(plan, moving, leaves), tuple(change)
 
 
-_sum_operator = Operator(
-    "sum_samples", _sums, lambda plan, operands: _shapes(plan, operands[1:]), _sum_jvp
-)
+_sum_operator = Operator("sum_samples", _sums, lambda plan, _: _shapes(plan), _sum_jvp)
 
 
 @functools.lru_cache(maxsize=512)
 def _augmented(sample: Sample, active: tuple[int, ...]) -> Sample:
     """`_with_derivatives` of a sample."""
     augmented = functools.partial(_with_derivatives, sample, active)
-    return Keyed(augmented, key_of(("augmented", sample, active)))
+    types = sample.types * (1 + len(active))
+    return Sample(augmented, key_of(("augmented", sample, active)), types)
 
 
 def _with_derivatives(
@@ -280,10 +247,18 @@ def _local_derivatives(
 def _pushed(plan: Plan, active: Sequence[int], leaves: Any, directions: Any) -> Terms:
     """Change of the sums as the active leaves change, sample after sample."""
 
-    def sums(values: Any) -> Terms:
-        return _sum_by_scan(plan, replaced(leaves, active, values))
+    @jax.checkpoint
+    def change(index: jax.Array, values: list[Any], directions: list[Any]) -> Terms:
+        def terms(values: Any) -> Terms:
+            return plan.terms(index, replaced(leaves, active, values))
 
-    return jax.jvp(sums, ([leaves[k] for k in active],), (list(directions),))[1]
+        return jax.jvp(terms, (values,), (directions,))[1]
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        changes = change(index[None], [leaves[k] for k in active], list(directions))
+        return _add(totals, tuple(term[..., 0] for term in changes)), None
+
+    return lax.scan(step, _zero_sums(plan), plan.numbers())[0]
 
 
 class _Pull(NamedTuple):
@@ -331,13 +306,24 @@ def _like(leaf: jax.Array, is_table: bool, values: Iterator[jax.Array]) -> jax.A
     return jnp.stack([next(values) for _ in range(leaf.shape[-1])], axis=-1)
 
 
-def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Any:
-    """The same by reverse mode over the scan."""
+def _pulled_by_scan(plan: Plan, active: Sequence[int], leaves: Any, images: Any) -> Terms:
+    """The same by XLA, sample after sample; none of them is kept."""
 
-    def sums(*values: Any) -> Terms:
-        return _sum_by_scan(plan, replaced(leaves, active, values))
+    @jax.checkpoint
+    def pull(index: jax.Array, leaves: list[Any], images: list[Any]) -> Terms:
+        def terms(*values: Any) -> Terms:
+            found = plan.terms(index, replaced(leaves, active, values))
+            return tuple(term[..., 0] for term in found)
 
-    return jax.vjp(sums, *(leaves[k] for k in active))[1](tuple(images))
+        return tuple(jax.vjp(terms, *(leaves[k] for k in active))[1](tuple(images)))
+
+    def step(totals: Terms, index: jax.Array) -> tuple[Terms, None]:
+        # What does not depend on the sample would be computed before the loop, and kept.
+        operands = lax.optimization_barrier((index[None], list(leaves), list(images)))
+        return _add(totals, pull(*operands)), None
+
+    zeros = tuple(jnp.zeros_like(leaves[k]) for k in active)
+    return lax.scan(step, zeros, plan.numbers(), reverse=True)[0]
 
 
 def _pull_jvp(static: _Pull, primals: Any, tangents: Any) -> tuple[Any, Any]:
@@ -378,10 +364,9 @@ def _push_by_scan(*operands: Any, plan: Plan, active: tuple[int, ...]) -> Terms:
     return _pushed(plan, active, leaves, directions)
 
 
-def _push_shapes(*operands: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
+def _push_shapes(*_: Any, plan: Plan, active: tuple[int, ...]) -> list[ShapedArray]:
     """Shapes and types of the change, those of the sums."""
-    _, leaves, _ = _split(operands, active)
-    return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan, leaves)]
+    return [ShapedArray(shape.shape, shape.dtype) for shape in _shapes(plan)]
 
 
 def _push_transpose(images: Any, *operands: Any, plan: Plan, active: tuple[int, ...]) -> list[Any]:

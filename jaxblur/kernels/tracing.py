@@ -7,101 +7,27 @@ targets than XLA and C++ start from here too.
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.extend import core
 from jaxtyping import Array
 
+from .inlining import inlined
 from .keys import Keyed, key_of, key_of_jaxpr
 from .places import results_of
-from .planes import evaluate, inlined
+from .planes import evaluate
 from .program import At, Image, Outcome, marks_primitive, sum_primitive
+from .reads import place_primitive
+from .stages import Kind, Place, Prepared, Sample, Stages, table_shape
 
 Program = Callable[[At, Any, Any, Any], Outcome]
-
-_TABLE_ROWS = 1 << 20
-"""Pixels of an image while it is traced; nothing depends on it."""
 
 
 class UnsupportedProgram(ValueError):
     """A program does something that the engine has no stage for."""
-
-
-class Kind(NamedTuple):
-    """Type and channels of an input, all that a trace depends on.
-
-    Attributes:
-        dtype: name of its type.
-        channels: of an image; 0 for a scalar.
-    """
-
-    dtype: str
-    channels: int = 0
-
-
-class Place(NamedTuple):
-    """Where a program runs: scalars, or arrays that broadcast against planes.
-
-    Attributes:
-        row: of the pixel.
-        column: of the pixel.
-        sizes: rows, columns, rows, columns, ... of the images.
-    """
-
-    row: Any
-    column: Any
-    sizes: tuple[Any, ...]
-
-
-class Grid(NamedTuple):
-    """Sizes of a run; native code gets them when it runs.
-
-    Attributes:
-        height: rows of the result.
-        width: columns of the result.
-        sizes: rows, columns, rows, columns, ... of the images.
-    """
-
-    height: int
-    width: int
-    sizes: tuple[int, ...] = ()
-
-    def place(self) -> Place:
-        """Row and column of every pixel, (H, W, 1), and the sizes."""
-        shape = self.height, self.width, 1
-        row, column = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-        return Place(row, column, tuple(jnp.int32(size) for size in self.sizes))
-
-
-class Stages(NamedTuple):
-    """A program, cut at its sum. Each part works on scalars and on whole planes alike.
-
-    `local` holds what a pixel uses as it is: a scalar, or the channels of an image at the pixel.
-    `tables` holds flat images that are read anywhere.
-
-    Attributes:
-        where: (place, local, tables) to the condition of the `Outcome`, and a list of values that
-            were found on the way.
-        prepare: (place, local, tables, found) to a list: values that the samples and the finish
-            use, or the results where there is no sum.
-        otherwise: (place, local, tables, found) to the results of the other pixels, or None.
-        sample: (index, place, prepared, tables) to the terms of a sample; None without a sum.
-        finish: (place, sums, prepared, local) to the results.
-        limit: from prepared to the number of samples; None where all count.
-        samples: number of samples N.
-    """
-
-    where: Callable[..., Any]
-    prepare: Callable[..., Any]
-    otherwise: Callable[..., Any] | None = None
-    sample: Callable[..., Any] | None = None
-    finish: Callable[..., Any] | None = None
-    limit: Callable[..., Any] | None = None
-    samples: int = 1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -208,11 +134,6 @@ def _shapes(kind: Kind) -> list[jax.ShapeDtypeStruct]:
     return [table_shape(kind), size, size, *[scalar] * kind.channels]
 
 
-def table_shape(kind: Kind) -> jax.ShapeDtypeStruct:
-    """The shape of a flat image while it is traced."""
-    return jax.ShapeDtypeStruct((_TABLE_ROWS * kind.channels,), kind.dtype)
-
-
 def _leaf(kind: Kind, numbers: Any) -> Any:
     if not kind.channels:
         return next(numbers)
@@ -234,6 +155,7 @@ class _Cut:
         self.made_by = {v: k for k, e in enumerate(self.jaxpr.eqns) for v in e.outvars}
         self.loop = self._find_loop()
         self._name_inputs(kinds)
+        self.varying = self._find_varying()
         self._assign()
 
     def _find_loop(self) -> int | None:
@@ -264,6 +186,17 @@ class _Cut:
         used |= {v for v in self.jaxpr.outvars if not _is_literal(v)}
         self.local = tuple(k for k, own in enumerate(self.own) if used & set(own))
         self.tables = tuple(k for k, table in enumerate(self.table) if table in used)
+
+    def _find_varying(self) -> set[Any]:
+        """The variables that depend on where the pixel is, or on an image there."""
+        images = (o for o, t in zip(self.own, self.table, strict=True) if t is not None)
+        varying = {*self.place[:2], *(variable for own in images for variable in own)}
+        for equation in self.jaxpr.eqns:
+            is_still = equation.primitive is place_primitive and equation.params["still"]
+            reads = (v for v in equation.invars if not _is_literal(v))
+            if not is_still and not varying.isdisjoint(reads):
+                varying.update(equation.outvars)
+        return varying
 
     def _needed(self, variables: Iterable[Any], known: Iterable[Any] = ()) -> list[int]:
         """Numbers of the equations that make the variables from the known ones and the inputs."""
@@ -366,6 +299,7 @@ class _Cut:
                 where=self._keyed("where", self._where),
                 prepare=self._keyed("values", values),
                 otherwise=otherwise,
+                prepared=self._chosen(),
             )
         if self.otherwise is not None:
             raise UnsupportedProgram("`Outcome.otherwise` is for programs without a sum.")
@@ -373,15 +307,38 @@ class _Cut:
         return Stages(
             where=self._keyed("where", self._where),
             prepare=self._keyed("prepare", self._prepare),
-            sample=self._keyed("sample", self._sample),
+            sample=Sample(
+                self._sample,
+                self._key_of("sample"),
+                [variable.aval.dtype.name for variable in loop.outvars],
+            ),
             finish=self._keyed("finish", self._finish),
             limit=self._keyed("limit", self._limit) if loop.params["limited"] else None,
             samples=loop.params["count"],
+            prepared=tuple(
+                Prepared(_real(variable.aval.dtype), variable in self.varying)
+                for variable in self.prepared
+            ),
+        )
+
+    def _chosen(self) -> tuple[Prepared, ...]:
+        """What the results of a program without a sum are."""
+        pairs = [self.values] if self.otherwise is None else [self.values, self.otherwise]
+        ends = [] if self.otherwise is None else [self.where]
+        return tuple(
+            Prepared(
+                values[0].aval.dtype.name,
+                any(not _is_literal(v) and v in self.varying for v in [*ends, *values]),
+            )
+            for values in zip(*pairs, strict=True)
         )
 
     def _keyed(self, stage: str, function: Callable[..., Any]) -> Keyed:
         """A stage, with the key of the program and its own name."""
-        return Keyed(function, None if self.key is None else key_of((self.key, stage)))
+        return Keyed(function, self._key_of(stage))
+
+    def _key_of(self, stage: str) -> str | None:
+        return None if self.key is None else key_of((self.key, stage))
 
     def _inputs(self, place: Place, local: Any, tables: Any) -> dict[Any, Any]:
         """Values of the inputs."""
@@ -459,6 +416,11 @@ def _is_literal(variable: Any) -> bool:
 def _ordered(variables: set[Any], equations: Sequence[Any]) -> list[Any]:
     """Variables in the order in which they are made."""
     return [v for equation in equations for v in equation.outvars if v in variables]
+
+
+def _real(dtype: Any) -> str:
+    """The type in which a value gets to the samples."""
+    return "float32" if dtype.name == "bool" else dtype.name
 
 
 def _as_real(value: Any) -> Any:

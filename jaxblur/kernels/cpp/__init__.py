@@ -10,7 +10,7 @@ import numpy as np
 
 from ..._util.compiler import NO_COMPILER, find_compiler, loads_kernels
 from ..keys import key_of
-from ..tracing import Grid, Stages
+from ..stages import Grid, Stages
 from .build import BuildFailed, Known, find_known, keep_kernels, keep_known, register
 from .emit import Kernel, Operands, emit_gather, emit_marks, emit_pull
 from .values import Unsupported

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..tracing import Kind, Place, Stages, table_shape
+from ..stages import Kind, Place, Stages, table_shape
 from .values import Additions, Level, Own, Scalar, Table, Unsupported, Value, widened
 from .writer import Scope, Writer
 
@@ -289,7 +289,7 @@ def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: boo
     """Print the stages of a program.
 
     Args:
-        stages: see `jaxblur.kernels.tracing.Stages`.
+        stages: see `jaxblur.kernels.stages.Stages`.
         operands: the inputs.
         kept: channels of the image that pixels keep whose results are not wanted; 0 if there is
             none.

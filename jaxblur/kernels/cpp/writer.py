@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from ..planes import opened
+from ..inlining import opened
 from .values import (
     OPERATIONS,
     Additions,
