@@ -1,6 +1,7 @@
 """Options, shared fixtures, and run-time type checks of the kernels."""
 
 import atexit
+import gc
 import importlib.util
 import mmap
 import os
@@ -29,6 +30,10 @@ install_import_hook(
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a script Ctrl-C is ignored, by this process and by those that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# JAX makes millions of objects while it traces, and few of them are garbage: with the threshold of
+# Python, 700, the search for garbage takes a seventh of the processor time of such a test.
+gc.set_threshold(100_000)
 
 
 def quick_xla() -> str:

@@ -239,9 +239,12 @@ def test_a_filter_has_a_derivative_by_the_source_of_motion(name):
     def of_buffers(velocity, path):
         return error(jaxblur.Frame(frame.color, frame.depth, velocity, path))
 
-    by_source = jax.grad(of_source)(path)
+    @jax.jit
+    def derivatives(velocity, path):
+        return jax.grad(of_source)(path), *jax.grad(of_buffers, (0, 1))(velocity, path)
+
     velocity = (path[..., 1, :] - path[..., 0, :]) / 2
-    by_velocity, by_path = jax.grad(of_buffers, (0, 1))(velocity, path)
+    by_source, by_velocity, by_path = derivatives(velocity, path)
     assert by_source.any()
     assert by_velocity.any() == (name != "layered") and by_path.any() == (name == "layered")
     expected = by_path + jnp.stack([-by_velocity, by_velocity], axis=2) / 2

@@ -94,18 +94,18 @@ def test_every_parameter_matters_and_has_its_gradient():
         function = blur("guertin2014", settings, random_noise(shape, dtype=np.float64))
 
         @jax.jit
+        @jax.value_and_grad
         def loss(parameters):
             output = function(frame.color, frame.depth, frame.velocity, parameters)
             return jnp.mean((output - 0.3) ** 2)
 
         start = PARAMETERS["guertin2014"]
-        reverse, forward = jax.grad(loss)(start), jax.jacfwd(loss)(start)
+        _, gradient = loss(start)
         for field, value in start.items():
-            above, below = (loss(start | {field: value + h}) for h in (step, -step))
+            (above, _), (below, _) = (loss(start | {field: value + h}) for h in (step, -step))
             numeric = (above - below) / (2 * step)
             assert abs(numeric) > 1e-8, field
-            np.testing.assert_allclose(reverse[field], numeric, rtol=1e-4, err_msg=field)
-            np.testing.assert_allclose(forward[field], reverse[field], rtol=1e-8, err_msg=field)
+            np.testing.assert_allclose(gradient[field], numeric, rtol=1e-4, err_msg=field)
 
 
 def kink_frames():
@@ -164,16 +164,15 @@ def assert_finite_both_ways(name, settings, frames):
             assert jnp.isfinite(leaf).all(), kink
 
 
+# More such frames, for every filter with the tile choice "own", are in tests/test_hard_cases.py.
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
         ("pixel_velocity", KINK_SETTINGS),
-        slow("mcguire2012", KINK_SETTINGS),
         slow("guertin2014", KINK_SETTINGS),
         slow("guertin2014", OTHER_KINK_SETTINGS),
-        slow("layered", KINK_SETTINGS),
     ],
-    ids=["pixel_velocity", "mcguire2012", "guertin2014", "guertin2014-expected", "layered"],
+    ids=["pixel_velocity", "guertin2014", "guertin2014-expected"],
 )
 def test_value_and_gradients_are_finite_at_every_kink(name, settings):
     assert_finite_both_ways(name, settings, kink_frames())
@@ -217,9 +216,8 @@ def test_gradients_survive_debug_nans_vmap_and_checkpoint():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tile_choice", ["own", "expected"])
-def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
-    settings = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice=tile_choice)
+def test_gradients_of_a_batch_are_those_of_each_frame():
+    settings = jaxblur.GuertinSettings(samples=5, radius=4, noise="none", tile_choice="expected")
     frames = [random_frame((8, 12), seed=seed) for seed in (1, 2)]
 
     def loss(color, frame):
@@ -229,8 +227,9 @@ def test_gradients_of_a_batch_are_those_of_each_frame(tile_choice):
         )
 
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *frames)
-    together = jax.grad(lambda colors: jnp.sum(jax.vmap(loss)(colors, stacked)))(stacked.color)
-    alone = [jax.grad(loss)(frame.color, frame) for frame in frames]
+    of_batch = jax.jit(jax.grad(lambda colors: jnp.sum(jax.vmap(loss)(colors, stacked))))
+    together, slope = of_batch(stacked.color), jax.jit(jax.grad(loss))
+    alone = [slope(frame.color, frame) for frame in frames]
     np.testing.assert_allclose(together, jnp.stack(alone), rtol=1e-4, atol=1e-5)
 
 
@@ -253,7 +252,6 @@ def test_gradient_of_parameters_alone_scatters_nothing():
         ("native", "expected"),
         slow("xla", "own"),
         slow("native", "own"),
-        slow("xla", "expected"),
     ],
 )
 def test_second_derivatives_are_those_of_the_first(backend, tile_choice):

@@ -127,11 +127,12 @@ def test_derivatives_equal_those_of_xla():
             return loss(jaxblur.Frame(moved[0], frame.depth, moved[1]), parameters)
 
         buffers = (frame.color, frame.velocity)
-        reverse = jax.jit(jax.grad(loss, argnums=(0, 1), allow_int=False))(frame, parameters)
-        alone = jax.jit(jax.grad(loss, argnums=1))(frame, parameters)
+        reverse = jax.grad(loss, argnums=(0, 1))(frame, parameters)
+        alone = jax.grad(loss, argnums=1)(frame, parameters)
         return reverse, alone, jax.jvp(along, (0.0,), (1.0,))
 
-    ours, theirs = map(derivatives, runs("guertin2014", tile_choice="own"))
+    blurs = runs("guertin2014", tile_choice="own")
+    ours, theirs = (jax.jit(functools.partial(derivatives, blur))() for blur in blurs)
     assert_trees_close(ours, theirs, 2e-5)
 
 
@@ -168,7 +169,7 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "channels"),
-    [("guertin2014", 1), ("guertin2014", 5), ("layered", 5), ("pixel_velocity", 1)],
+    [("guertin2014", 5), ("pixel_velocity", 1)],
 )
 def test_any_number_of_channels_has_a_native_form(name, channels):
     frame = make_frame((5, 19))
@@ -206,23 +207,20 @@ def test_derivatives_by_scalars_are_carried_by_the_kernel(name, monkeypatch):
 
 @pytest.mark.slow
 def test_second_derivatives_and_batches_equal_those_of_xla():
-    frame, parameters = make_frame((4, 18)), jaxblur.GuertinParameters()
+    frame = make_frame((4, 18))
     colors = jnp.stack([make_frame((4, 18), seed).color for seed in (2, 3)])
 
     def derivatives(blur):
-        def loss(kappa, color):
-            changed = jaxblur.GuertinParameters(kappa=kappa)
+        def loss(color):
             moved = jaxblur.Frame(color, frame.depth, frame.velocity)
-            return jnp.sum(blur(moved, changed) ** 2)
+            return jnp.sum(blur(moved, jaxblur.GuertinParameters()) ** 2)
 
-        curvature = jax.jit(jax.hessian(loss))(40.0, colors[0])
-        of_batch = jax.grad(lambda c: jnp.sum(jax.vmap(lambda one: loss(40.0, one))(c)))(colors)
-        per_frame = jax.vmap(jax.grad(loss, argnums=1), (None, 0))(40.0, colors)
-        mixed = jax.jvp(lambda c: jax.grad(loss, argnums=1)(40.0, c), (colors[0],), (colors[1],))
-        return curvature, of_batch, per_frame, mixed
+        of_batch = jax.grad(lambda colors: jnp.sum(jax.vmap(loss)(colors)))(colors)
+        per_frame = jax.vmap(jax.grad(loss))(colors)
+        return of_batch, per_frame, jax.jvp(jax.grad(loss), (colors[0],), (colors[1],))
 
-    del parameters
-    ours, theirs = map(derivatives, runs("guertin2014", tile_choice="own"))
+    blurs = runs("guertin2014", tile_choice="own")
+    ours, theirs = (jax.jit(functools.partial(derivatives, blur))() for blur in blurs)
     assert_trees_close(ours, theirs, 2e-5)
 
 

@@ -77,7 +77,6 @@ TWICE = Shutter.windows([(-1, -0.5), (0.5, 1)])
     [
         slow(Shutter.triangle(), {"shutter_function": "triangle"}, 5),
         slow(Shutter.box(0, 2), {"placement": "leading"}, 8),
-        slow(Shutter.box(readout=2), {"readout": 0.5}, 7),
         slow(Shutter.box(readout=-2), {"readout": -0.5}, 7),
         slow(TWICE, {"shutter_function": TWICE.curve}, 1.5),
     ],
@@ -202,9 +201,14 @@ def test_the_derivative_in_the_curve_is_that_of_the_weighted_mean():
     settings = jaxblur.Settings(samples=105, radius=40, fetch="bilinear")
     curve = jnp.asarray([0.5, 1.0, 2.0, 1.0, 0.3])
 
+    @jax.jit
     def blurred(curve):
         exposure = Shutter(-1.0, 1.0, curve)
         return jaxblur.layered(frame, PARAMETERS, settings=settings, exposure=exposure)
+
+    @jax.jit
+    def derivatives(curve, target):
+        return jax.jacfwd(blurred)(curve), jax.vjp(blurred, curve)[1](target)[0]
 
     times = np.linspace(-1, 1, 2001)
     hats = [np.interp(times, np.linspace(-1, 1, 5), hat) for hat in np.eye(5)]
@@ -212,18 +216,16 @@ def test_the_derivative_in_the_curve_is_that_of_the_weighted_mean():
     images = np.stack([at(time) for time in times])
     mean = np.tensordot(weights, images, 1) / weights.sum()
     np.testing.assert_allclose(blurred(curve)[INNER], mean[INNER], atol=8e-3)
-    forward = jax.jacfwd(blurred)(curve)
+    target = jnp.asarray(np.random.default_rng(0).normal(size=frame.color.shape), jnp.float32)
+    forward, reverse = derivatives(curve, target)
     for k, hat in enumerate(hats):
         expected = np.tensordot(hat, images - mean, 1) / weights.sum()
         found, expected = forward[..., k][INNER], expected[INNER]
         # Worst at the ends of the curve, where 70 samples leave noise: 0.11, and no bias.
         assert np.abs(found - expected).mean() < 0.15 * np.abs(expected).mean(), k
         assert abs(np.sum(found * expected) / np.sum(expected**2) - 1) < 0.05, k
-    target = jnp.asarray(np.random.default_rng(0).normal(size=frame.color.shape), jnp.float32)
-    _, pull = jax.vjp(blurred, curve)
-    np.testing.assert_allclose(
-        *(pull(target)[0], np.tensordot(target, forward, 3)), rtol=1e-3, atol=1e-4
-    )
+    expected = np.tensordot(target, forward, 3)
+    np.testing.assert_allclose(reverse, expected, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.slow
@@ -235,6 +237,8 @@ def test_the_derivatives_in_times_agree_with_central_differences():
     target = jnp.stack([jnp.roll(target, k, 1) for k in range(-4, 5)]).mean(0)
     settings = jaxblur.Settings(samples=105, radius=40, fetch="bilinear")
 
+    @jax.jit
+    @jax.value_and_grad
     def score(values):
         open, close, readout = values
         exposure = Shutter(open, close, curve_of("trapezoid"), readout)
@@ -242,10 +246,11 @@ def test_the_derivatives_in_times_agree_with_central_differences():
         return jnp.sum(blurred * target)
 
     at = jnp.asarray([-0.8, 1.3, 0.6])
-    slope = jax.jit(jax.grad(score))(at)
-    np.testing.assert_allclose(slope, jax.jacfwd(score)(at), rtol=1e-3, atol=1e-4)
+    _, slope = score(at)
     step = 0.05
-    differences = [(score(at + step * e) - score(at - step * e)) / (2 * step) for e in jnp.eye(3)]
+    differences = [
+        (score(at + move)[0] - score(at - move)[0]) / (2 * step) for move in step * jnp.eye(3)
+    ]
     np.testing.assert_allclose(slope, differences, rtol=0.1, atol=0.05)
 
 
@@ -322,10 +327,9 @@ def test_neighbors_show_what_is_hidden_at_the_times_of_the_shutter():
             ),
             truth,
         )
-        for near in ({}, {"before": before}, {"before": before, "after": after})
+        for near in ({}, {"before": before, "after": after})
     ]
     assert scores[1] > scores[0] + 0.5
-    assert scores[2] > scores[0] + 0.5
 
 
 @pytest.mark.slow

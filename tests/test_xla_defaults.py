@@ -12,8 +12,9 @@ import pytest
 
 ROOT = pathlib.Path(__file__).parents[1]
 TESTS = {
-    "tests/test_filters.py": "plain_loops and float64 and not guertin2014 or jit_and_vmap",
-    "tests/test_native.py": "size0 or size4 or size8 or size12",
+    # One frame for each filter in float64, which XLA computes.
+    "tests/test_filters.py": "plain_loops and (shape0 or shape60 or shape64) or vmap_equals",
+    "tests/test_native.py": "size0 or size4",
     "tests/test_filter_gradients.py": "kink or second_derivatives",
 }
 """Expressions of pytest that choose tests by file."""
