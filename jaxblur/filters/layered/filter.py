@@ -26,6 +26,7 @@ from ..parameters import LayeredParameters
 from . import background, holes, views
 from .aperture import Aperture, maps_through_lens, on_disc, places_of, with_discs
 from .clock import Clock, clock_of, scaled
+from .five_places import through_five_places
 from .neighbors import Neighbor, neighbor_of
 from .owners import Coding, maps_of, owners_of, states_of
 from .paths import paths_of
@@ -78,7 +79,7 @@ def passes_before(
     slices = settings.samples // LAYERED_SLICE
     maps = maps_of(slices)
     coding = Coding.of(settings.radius)
-    paths = paths_of(frame, parameters, settings)
+    paths = _paths(frame, parameters, settings, others)
     clock = others.exposure if isinstance(others.exposure, Clock) else None
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
     owners = Image(owners_of(paths, maps, settings, clock))
@@ -139,7 +140,7 @@ def _blur_through_lens(
     aperture = _aperture(others.lens, frame)
     noise = resolve_noise(noise, settings.noise, height, width)
     maps, coding = maps_through_lens(settings.samples), Coding.of(settings.radius)
-    paths = with_discs(paths_of(frame, parameters, settings), aperture, settings)
+    paths = with_discs(_paths(frame, parameters, settings, others), aperture, settings)
     clock = others.exposure if isinstance(others.exposure, Clock) else None
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
     places = places_of(maps, dtype)
@@ -164,6 +165,15 @@ def _blur_through_lens(
         kept=frame.color,
         backend=settings.backend,
     )
+
+
+def _paths(
+    frame: Frame, parameters: LayeredParameters, settings: Settings, others: Others
+) -> jax.Array:
+    """The path of every pixel, to which neighbors contribute."""
+    near = others.before, others.after
+    frame = through_five_places(frame, *near, others.shutter, settings.backend)
+    return paths_of(frame, parameters, settings)
 
 
 def _aperture(lens: Lens, frame: Frame) -> Aperture:

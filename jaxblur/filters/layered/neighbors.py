@@ -1,5 +1,6 @@
 """The frames before and after, as `layered` reads them: where their points are in the exposure."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ _DARK = 1e-3
 """Root of the light that counts as none."""
 _CURVED = 1e-3
 """Radians. Below, an arc equals the parabola in float32."""
+_WIDEST = 2 / 3 * math.pi
+"""Radians per frame, as in `jaxblur.vectors.to_half_spread`: how far an arc can turn."""
 
 
 class Neighbor(NamedTuple):
@@ -72,11 +75,14 @@ class Vectors(NamedTuple):
     depth: Image
 
 
-def motion_of_pixel(at: At, images: Vectors, times: Sequence[Array], _: None) -> Outcome:
+def motion_of_pixel(
+    at: At, images: Vectors, inputs: tuple[Sequence[Array], Array], _: None
+) -> Outcome:
     """The displacement of a pixel at some times, in half exposures, and its log depth."""
     vectors = images.motion.here()
     (depth,) = images.depth.here()
-    places = [part for time in times for part in displacement_at(vectors, time)]
+    times, half = inputs
+    places = [part for time in times for part in displacement_at(vectors, time, half)]
     return Outcome((*places, jnp.log(finite_depth(depth))))
 
 
@@ -138,7 +144,8 @@ def neighbor_of(
     times = [(frames + side * half) / half for side in (-1, 1, 0)]
     vectors = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
     images = Vectors(Image(vectors), Image(frame.depth[..., None]))
-    motion = each_pixel(motion_of_pixel, (height, width), images, times, None, backend=backend)
+    inputs = (times, half)
+    motion = each_pixel(motion_of_pixel, (height, width), images, inputs, None, backend=backend)
     light = light_of(blurred, frame, motion[..., 4:], backend)
     ends = jnp.concatenate([motion[..., :4], motion[..., 6:]], axis=-1)
     return Neighbor(Image(frame.color), Image(ends), Image(light))
@@ -193,7 +200,9 @@ def _around(values: jax.Array) -> jax.Array:
     return lax.reduce_window(blocks, 0.0, lax.add, (3, 3, 1), (1, 1, 1), "SAME")
 
 
-def displacement_at(vectors: Sequence[Array], time: Array) -> tuple[Array, Array]:
+def displacement_at(
+    vectors: Sequence[Array], time: Array, half: Array | None = None
+) -> tuple[Array, Array]:
     """Displacement at a time in half exposures, on the arc through the ends of the path.
 
     With l half of the chord and the rest c split into c1 along l and c2 across it, the arc is
@@ -205,6 +214,9 @@ def displacement_at(vectors: Sequence[Array], time: Array) -> tuple[Array, Array
     Args:
         vectors: x and y of a velocity; or of the displacements at opening and closing.
         time: in half exposures.
+        half: half of the exposure in frames, which bounds how far the arc turns in a half exposure
+            as `to_half_spread` does, so that the arc at the next frame is where its vector leads;
+            None for no bound.
 
     Returns:
         x and y, pixels.
@@ -221,6 +233,8 @@ def displacement_at(vectors: Sequence[Array], time: Array) -> tuple[Array, Array
     ratio = safe_divide(safe_norm(across_x, across_y), safe_norm(line_x, line_y))
     curved = ratio > _CURVED
     angle = 2 * jnp.arctan(jnp.where(curved, ratio, 1))
+    if half is not None:
+        angle = jnp.minimum(angle, _WIDEST * half)
     tangent = jnp.where(curved, jnp.sin(time * angle) / jnp.sin(angle), time)
     sagitta = jnp.sin(time * angle / 2) / jnp.sin(angle / 2)
     bend = jnp.square(jnp.where(curved, sagitta, time))

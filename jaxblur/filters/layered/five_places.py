@@ -1,0 +1,138 @@
+"""Pass L0 of `layered`: paths through five places, where neighbors tell two more than the frame.
+
+The vectors of a frame lead from a point to its places one frame before and one frame after. A
+motion that reverses within a few frames, such as that of a camera held by hand, is much faster at
+the frame itself than an arc through three places says. Where a neighbor shows the point, its own
+vectors lead one frame farther.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...frame import Frame
+from ...kernels import At, Image, Outcome, each_pixel
+from ...safe_math import safe_divide, safe_norm
+from ...settings import Backend
+from .neighbors import displacement_at
+
+NEAR, RELATIVE = 0.5, 0.1
+"""A neighbor shows a point if its vector leads back to it within so many pixels, or within this
+share of the vector's length."""
+
+Vector = tuple[Array, Array]
+
+
+class Images(NamedTuple):
+    """Images that `path_of_pixel` reads.
+
+    Attributes:
+        path: (H, W, 4) displacement at opening and closing.
+        before: (H, W, 4) displacement, of a point of the frame before, to its places one frame
+            before and after that; None without one.
+        after: likewise of the frame after.
+    """
+
+    path: Image
+    before: Image | None
+    after: Image | None
+
+
+def steps_of_pixel(at: At, path: Image, half: Array, _: None) -> Outcome:
+    """The displacement of a pixel to the frame before and to the frame after."""
+    ends = path.here()
+    return Outcome(
+        (*displacement_at(ends, -1 / half, half), *displacement_at(ends, 1 / half, half))
+    )
+
+
+def path_of_pixel(at: At, images: Images, half: Array, _: None) -> Outcome:
+    """The path of a pixel, from the arc through three places and from where that errs at others.
+
+    With t in frames, and e(-2), e(2) the displacements that the neighbors tell less those of the
+    arc, the arc is changed by the smallest polynomial that leaves its three places,
+
+        r(t) = t (t^2 - 1) (A + B t),   A = (e(2) - e(-2))/12,   B = (e(2) + e(-2))/24.
+
+    An error that is unknown is taken to be 0. The change of an end is at most as long as its
+    displacement.
+    """
+    ends = images.path.here()
+    before, after = (
+        _error(at, ends, neighbor, side, half)
+        for side, neighbor in ((-1, images.before), (1, images.after))
+    )
+    cubic = [(late - early) / 12 for early, late in zip(before, after, strict=True)]
+    quartic = [(late + early) / 24 for early, late in zip(before, after, strict=True)]
+    changed = []
+    for side, end in ((-1, ends[:2]), (1, ends[2:])):
+        time = side * half
+        scale = time * (jnp.square(time) - 1)
+        change = [scale * (a + b * time) for a, b in zip(cubic, quartic, strict=True)]
+        share = safe_divide(safe_norm(*end), safe_norm(*change))
+        share = jnp.where(share < 1, share, 1)
+        changed += [part + share * more for part, more in zip(end, change, strict=True)]
+    return Outcome(tuple(changed))
+
+
+def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, half: Array) -> Vector:
+    """How far the arc errs two frames from now on one side; 0 where that is not known."""
+    if neighbor is None:
+        return jnp.zeros_like(ends[0]), jnp.zeros_like(ends[0])
+    x, y = displacement_at(ends, side / half, half)
+    height, width = jnp.asarray(neighbor.height), jnp.asarray(neighbor.width)
+    # A displacement that is no number, or far too long, leads to no place that an integer holds.
+    near = (jnp.abs(x) < width.astype(x.dtype)) & (jnp.abs(y) < height.astype(x.dtype))
+    row = at.row + jnp.floor(jnp.where(near, y, 0) + 0.5).astype(jnp.int32)
+    column = at.column + jnp.floor(jnp.where(near, x, 0) + 0.5).astype(jnp.int32)
+    inside = near & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+    previous_x, previous_y, next_x, next_y = neighbor.read(row, column)
+    back = (previous_x, previous_y) if side > 0 else (next_x, next_y)
+    miss = safe_norm(back[0] + x, back[1] + y)
+    known = inside & (miss < NEAR + RELATIVE * safe_norm(x, y))
+    # The texel lies beside the point. Of its vectors the sum, which is how the motion changes, is
+    # nearly that of the point.
+    far_x, far_y = displacement_at(ends, 2 * side / half, half)
+    error_x = 2 * x + previous_x + next_x - far_x
+    error_y = 2 * y + previous_y + next_y - far_y
+    return jnp.where(known, error_x, 0), jnp.where(known, error_y, 0)
+
+
+def through_five_places(
+    frame: Frame, before: Frame | None, after: Frame | None, shutter: Array, backend: Backend
+) -> Frame:
+    """The frame with paths through five places, where its neighbors know them.
+
+    Args:
+        frame: with a path, or it is returned as it is.
+        before: the frame before, or None; not used without a path.
+        after: the frame after, likewise.
+        shutter: exposure in frames.
+        backend: see `jaxblur.Settings`.
+
+    Returns:
+        The frame with another path. Differentiable, with the texels of neighbors held.
+    """
+    near = [one if one is not None and one.path is not None else None for one in (before, after)]
+    if frame.path is None or near == [None, None]:
+        return frame
+    height, width = frame.depth.shape
+    half = jnp.asarray(shutter, frame.color.dtype) / 2
+
+    def steps(neighbor: Frame | None) -> Image | None:
+        if neighbor is None:
+            return None
+        path = Image(_as_image(neighbor))
+        return Image(each_pixel(steps_of_pixel, (height, width), path, half, backend=backend))
+
+    images = Images(Image(_as_image(frame)), *map(steps, near))
+    path = each_pixel(path_of_pixel, (height, width), images, half, backend=backend)
+    return frame.replace(path=path.reshape(height, width, 2, 2))
+
+
+def _as_image(frame: Frame) -> Float[Array, "height width 4"]:
+    assert frame.path is not None
+    return frame.path.reshape(*frame.depth.shape, 4)
