@@ -20,7 +20,12 @@ def shaken(place, time=0):
     assert path is not None
     color = np.full((*SIZE, 3), 0.5, np.float32)
     depth = jnp.ones(SIZE)
-    return Frame(jnp.asarray(color), depth, jnp.asarray(velocity), path=jnp.asarray(path))
+    return Frame(
+        color=jnp.asarray(color),
+        depth=depth,
+        velocity=jnp.asarray(velocity),
+        path=jnp.asarray(path),
+    )
 
 
 def refined(place, before=True, after=True, backend="xla"):
