@@ -120,7 +120,7 @@ def main() -> None:
     for truth in sorted(options.reference_data.glob(f"*/truth_{FRAME:04d}.exr")):
         measured, images = measure(truth, methods)
         rows += measured
-        window = run.worst_window(images["sharp"], images["truth"])
+        window = pictures.worst_window(images["sharp"], images["truth"], run.WINDOW)
         for name, image in images.items():
             crops.setdefault(name, []).append(np.asarray(image)[window])
     with (options.output / "baselines.csv").open("w", newline="", encoding="utf-8") as file:
