@@ -86,7 +86,8 @@ def opaque_part(example: common.Example) -> common.Example:
     """The example without its alpha channel, which is 1 everywhere."""
     color = jnp.asarray(example.frame.color)[..., :3]
     frame = dataclasses.replace(example.frame, color=color)
-    return example._replace(frame=frame, truth=np.asarray(example.truth)[..., :3])
+    name, truth = f"{example.name}, rendered", np.asarray(example.truth)[..., :3]
+    return example._replace(name=name, frame=frame, truth=truth)
 
 
 def main() -> None:
