@@ -53,6 +53,43 @@ def error_image(
     return srgb.decode(np.clip(gain * error, 0.0, 1.0))
 
 
+def worst_window(image: Image, truth: Image, size: tuple[int, int]) -> tuple[slice, slice]:
+    """The window where the display values of two images differ most.
+
+    Args:
+        image: (H, W, C) linear light.
+        truth: (H, W, C) linear light.
+        size: height and width of the window in pixels; those of the image, where it is smaller.
+
+    Returns:
+        Rows and columns.
+    """
+    error = np.square(np.asarray(metrics.display(image)) - np.asarray(metrics.display(truth)))
+    summed = np.pad(error.sum(-1).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    height, width = (min(side, limit) for side, limit in zip(size, error.shape, strict=False))
+    total = (
+        summed[height:, width:]
+        - summed[:-height, width:]
+        - summed[height:, :-width]
+        + summed[:-height, :-width]
+    )
+    top, left = np.unravel_index(np.argmax(total), total.shape)
+    return slice(top, top + height), slice(left, left + width)
+
+
+def enlarged(image: Image, times: int) -> np.ndarray:
+    """The image with each pixel repeated.
+
+    Args:
+        image: (H, W, C).
+        times: copies of a pixel in a row, and in a column.
+
+    Returns:
+        (times H, times W, C).
+    """
+    return np.asarray(image).repeat(times, axis=0).repeat(times, axis=1)
+
+
 def contact_sheet(rows: Sequence[Sequence[Image]]) -> Float[np.ndarray, "rows columns 3"]:
     """Arrange images of one size in rows, with thin gray lines between them.
 

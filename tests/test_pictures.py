@@ -68,3 +68,23 @@ def test_a_contact_sheet_refuses_sizes_that_differ():
         pictures.contact_sheet([[np.zeros((2, 3, 3)), np.zeros((3, 2, 3))]])
     with pytest.raises(ValueError, match="`rows` must hold images of one size"):
         pictures.contact_sheet([])
+
+
+def test_the_worst_window_holds_the_worst_pixels():
+    truth = np.zeros((100, 200, 3), np.float32)
+    image = truth.copy()
+    image[90:, 150:160] = 1.0
+    rows, columns = pictures.worst_window(image, truth, (80, 120))
+    assert (rows.stop - rows.start, columns.stop - columns.start) == (80, 120)
+    assert image[rows, columns].sum() == image.sum()
+
+
+def test_the_worst_window_of_a_small_image_is_all_of_it():
+    truth = np.zeros((3, 5, 3), np.float32)
+    assert pictures.worst_window(truth + 1, truth, (80, 120)) == np.s_[0:3, 0:5]
+
+
+def test_each_pixel_of_an_enlarged_image_is_repeated():
+    image = np.arange(6).reshape(1, 2, 3)
+    expected = [[[0, 1, 2]] * 2 + [[3, 4, 5]] * 2] * 2
+    np.testing.assert_array_equal(pictures.enlarged(image, 2), expected)

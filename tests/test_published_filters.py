@@ -72,15 +72,6 @@ def test_the_experiment_names_what_is_missing(experiment, panned):
     assert len(list(experiment.find_shots(panned, None, 0.5))) == 1
 
 
-def test_the_worst_window_holds_the_worst_pixels(experiment):
-    truth = np.zeros((100, 200, 3), np.float32)
-    image = truth.copy()
-    image[90:, 150:160] = 1.0
-    rows, columns = experiment.worst_window(image, truth)
-    assert (rows.stop - rows.start, columns.stop - columns.start) == experiment.WINDOW
-    assert image[rows, columns].sum() == image.sum()
-
-
 # PSNR in dB of a plain reading of the papers: mcguire2012 with 35 taps and radius 40, guertin2014.
 PLAIN_READING = {
     "cube_over_crates": (36, 37),

@@ -101,8 +101,9 @@ def table(rows: list[Row]) -> str:
         own = [row for row in rows if row.method == method]
         scores = [f"{row.psnr:.2f} / {row.psnr_moving:.2f}" for row in own]
         flip = f"{mean(r.flip for r in own):.4f} / {mean(r.flip_moving for r in own):.4f}"
-        times = [row.relative for row in own]
-        cells = [method, *scores, flip, f"{min(times):.2g} to {max(times):.2g}"]
+        times = sorted({float(f"{row.relative:.2g}") for row in own})
+        ends = dict.fromkeys((times[0], times[-1]))
+        cells = [method, *scores, flip, " to ".join(f"{time:g}" for time in ends)]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -120,7 +121,7 @@ def main() -> None:
     for truth in sorted(options.reference_data.glob(f"*/truth_{FRAME:04d}.exr")):
         measured, images = measure(truth, methods)
         rows += measured
-        window = run.worst_window(images["sharp"], images["truth"])
+        window = pictures.worst_window(images["sharp"], images["truth"], run.WINDOW)
         for name, image in images.items():
             crops.setdefault(name, []).append(np.asarray(image)[window])
     with (options.output / "baselines.csv").open("w", newline="", encoding="utf-8") as file:

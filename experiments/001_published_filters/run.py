@@ -164,25 +164,10 @@ def sheet(shot: Shot, images: dict[tuple[str, str], Any]) -> Any:
     return pictures.contact_sheet([picture_row(shot, image, everything) for image in outputs])
 
 
-def worst_window(image: Any, truth: np.ndarray) -> tuple[slice, slice]:
-    """The window of fixed size where the display values of the two differ most."""
-    error = np.square(np.asarray(metrics.display(image)) - np.asarray(metrics.display(truth)))
-    summed = np.pad(error.sum(-1).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-    height, width = (min(size, limit) for size, limit in zip(WINDOW, truth.shape, strict=False))
-    total = (
-        summed[height:, width:]
-        - summed[:-height, width:]
-        - summed[height:, :-width]
-        + summed[:-height, :-width]
-    )
-    top, left = np.unravel_index(np.argmax(total), total.shape)
-    return slice(top, top + height), slice(left, left + width)
-
-
 def overview_row(shot: Shot, images: dict[tuple[str, str], Any]) -> list[Any]:
     """The pictures of `OVERVIEW_METHOD` in the window where its error is largest."""
     output = images[OVERVIEW_METHOD, "frame"]
-    return picture_row(shot, output, worst_window(output, shot.truth))
+    return picture_row(shot, output, pictures.worst_window(output, shot.truth, WINDOW))
 
 
 def write_csv(path: Path, results: list[Result]) -> None:

@@ -23,7 +23,7 @@ from .run import HALVES, REFERENCE_WIDTH, SHUTTER, SIZE, TRUTH_SAMPLES
 
 SAMPLES, RADIUS = 35, 40
 WITHOUT: dict[str, tuple[str, dict[str, float], dict[str, Any]]] = {
-    "other velocities": ("layered", {"distinct": 1e6}, {}),
+    "guesses that hide each other": ("layered", {"distinct": 1e6}, {}),
     "depth order": ("layered", {"front_sharpness": 0.1}, {}),
     "tolerance within a surface": ("layered", {"own_tolerance": 1e-3}, {}),
     "bend of the own way": ("layered", {"bend": 0.0}, {}),

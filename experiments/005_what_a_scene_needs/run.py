@@ -176,8 +176,10 @@ def mean_psnr(judged: Sequence[Judged], variant: str, kind: str | None) -> float
     return float(np.mean([j.psnr for j in wanted if j.kind == kind or not kind]))
 
 
-def gains(judged: Sequence[Judged], times: Mapping[str, float], kinds: Sequence[str]) -> list[Any]:
-    """One row for each component, each way of adding it, and each kind of scene."""
+def gains(
+    judged: Sequence[Judged], times: Mapping[str, float], kinds: Sequence[str | None]
+) -> list[Any]:
+    """One row for each component, each way of adding it, and each kind of scene; None is all."""
     names, rows = list(COMPONENTS), []
     nested = ["nothing", f"only {names[0]}", *[f"first {n}" for n in range(2, len(names) - 1)]]
     nested += [f"all but {names[-1]}", "all"]
@@ -190,7 +192,7 @@ def gains(judged: Sequence[Judged], times: Mapping[str, float], kinds: Sequence[
         for (way, (without, with_it)), kind in itertools.product(ways.items(), kinds):
             gain = mean_psnr(judged, with_it, kind) - mean_psnr(judged, without, kind)
             cost = times[with_it] - times[without]
-            rows.append((name, way, kind, gain, cost, per_millisecond(gain, cost)))
+            rows.append((name, way, kind or "all", gain, cost, per_millisecond(gain, cost)))
     return rows
 
 
@@ -256,7 +258,7 @@ def main() -> None:
     common.write_table(options.output, "fits", ("variant", "half", *names), fits)
     if not options.quick:
         kinds = sorted({row.kind for row in judged})
-        rows = gains(judged, times, kinds)
+        rows = gains(judged, times, [None, *kinds])
         heads = ("component", "added", "kind", "gain dB", "cost ms", "dB per ms")
         common.write_table(options.output, "components", heads, rows)
         draw(options.output / "components.png", rows, kinds)

@@ -60,11 +60,11 @@ def matted(over_black: np.ndarray, over_white: np.ndarray) -> np.ndarray:
     return np.concatenate([over_black, alpha], axis=-1)
 
 
-def enlarged(image: Any) -> np.ndarray:
-    """The image as three channels, only alpha if there is one, with pixels repeated."""
+def shown_part(image: Any) -> np.ndarray:
+    """The image as three channels, only alpha if there is one, enlarged."""
     image = np.asarray(image)
     shown = np.repeat(image[..., 3:], 3, axis=-1) if image.shape[-1] > 3 else image
-    return shown.repeat(ENLARGE, axis=0).repeat(ENLARGE, axis=1)
+    return pictures.enlarged(shown, ENLARGE)
 
 
 def sheet_row(example: common.Example, part: Any) -> tuple[list[np.ndarray], list[Any]]:
@@ -75,7 +75,7 @@ def sheet_row(example: common.Example, part: Any) -> tuple[list[np.ndarray], lis
         parameters, settings = info.make_parameters(), info.settings
         images.append(np.asarray(FILTERS[name](example.frame, parameters, settings=settings)))
     cells = [np.asarray(example.frame.color), *images, np.asarray(example.truth)]
-    cells = [enlarged(cell[part]) for cell in cells]
+    cells = [shown_part(cell[part]) for cell in cells]
     errors = [pictures.error_image(cell, cells[-1]) for cell in cells[1:3]]
     shown = [metrics.display(cell) for cell in cells]
     scores = [float(metrics.psnr(cell, shown[-1])) for cell in shown[:3]]
@@ -86,7 +86,8 @@ def opaque_part(example: common.Example) -> common.Example:
     """The example without its alpha channel, which is 1 everywhere."""
     color = jnp.asarray(example.frame.color)[..., :3]
     frame = dataclasses.replace(example.frame, color=color)
-    return example._replace(frame=frame, truth=np.asarray(example.truth)[..., :3])
+    name, truth = f"{example.name}, rendered", np.asarray(example.truth)[..., :3]
+    return example._replace(name=name, frame=frame, truth=truth)
 
 
 def main() -> None:

@@ -1,11 +1,11 @@
-"""Source of the defaults of `layered`: joint fits to catalogue scenes, cross-validated.
+"""Are the defaults of `layered` the best? Joint fits to catalogue scenes.
 
     python -m experiments.012_layered.fit_defaults -o OUT [--reference-data DIR] [--steps N]
 
 There are ten scenes, every other one with curved paths. The parameters that these scenes determine
-are fitted to all of them, from two starts; rounded, the fit gives the defaults. Then more
-parameters are fitted to each half of the scenes, from both starts, and the fit that gains most is
-judged on the other half. The fits are also judged on the rendered scenes in DIR (as
+are fitted to all of them, from two starts. With ``--halves`` more parameters are fitted to each
+half of the scenes too, from both starts, and the fit that gains most is judged on the other half;
+this takes much longer. The fits are also judged on the rendered scenes in DIR (as
 ``experiments/blender/render_reference.py`` writes them). For judging, fits are rounded to two
 digits, as defaults would be. Writes ``fits.csv`` and ``fits.md`` (fitted values),
 ``validation.csv`` and ``validation.md`` (PSNR in dB of display values, mean and worst change
@@ -103,16 +103,15 @@ def main() -> None:
     """Fit, judge, and write the tables."""
     parser = common.output_parser("Fit the defaults of layered.", "judge on these too")
     parser.add_argument("--steps", type=int, default=30, help="steps per fit (%(default)s)")
+    parser.add_argument("--halves", action="store_true", help="fit to each half too")
     options = parser.parse_args()
     first, second = ([load(name, i) for i, name in enumerate(half)] for half in HALVES)
     folder = options.reference_data
     others = {"reference frames": common.full_size_examples(folder)} if folder else {}
     fits, validation = [], []
-    parts = {
-        "all scenes": (TOLD, first + second, []),
-        "first half": (ALL, first, second),
-        "second half": (ALL, second, first),
-    }
+    parts = {"all scenes": (TOLD, first + second, [])}
+    if options.halves:
+        parts |= {"first half": (ALL, first, second), "second half": (ALL, second, first)}
     for label, (free, training, rest) in parts.items():
         values, rows = best_fit(label, training, free, options.steps)
         fits += rows

@@ -4,9 +4,10 @@
 
 DIR holds scenes as ``experiments/blender/render_reference.py`` writes them. Each variant leaves one
 part out, or has an advantage over the filter: exact vectors at pixel centers, or ten times the
-samples. Writes ``steps.csv`` and ``steps.md`` (PSNR in dB of display values), ``peers.csv`` and
-``peers.md`` (PSNR, FLIP, CPU time in turn), and ``errors.png``. ``--quick`` takes the first scene
-only.
+samples. Writes ``steps``, ``peers``, ``flip`` and ``times``, ``.csv`` and ``.md``: PSNR in dB of
+display values of the variants and of the peers, FLIP of the peers, and processor time relative to
+guertin2014, each the shortest of runs in turn. Writes ``errors.png``: in each scene the window in
+which `layered` is farthest from the truth. ``--quick`` takes the first scene only.
 """
 
 import argparse
@@ -14,7 +15,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from jaxblur import exr, metrics
 from jaxblur.filters import filter_info
 
 REPEATS = 7
+WINDOW, ENLARGE = (80, 120), 2
 Blur = Callable[[jaxblur.Frame], Any]
 
 
@@ -56,16 +58,50 @@ def variants() -> dict[str, Blur]:
     }
 
 
-def read(truth: Path) -> tuple[jaxblur.Frame, jaxblur.Frame, Any, Any]:
-    """Read the frame, the frame with exact vectors, the truth, and Blender's Vector Blur."""
+class Shot(NamedTuple):
+    """A frame of a rendered scene.
+
+    Attributes:
+        name: of the scene.
+        shutter: in frames.
+        frame: as Blender writes it.
+        before: the frame before.
+        after: the frame after.
+        exact: the frame with vectors and depth at pixel centers.
+        truth: its true blur.
+        vector_blur: the result of Blender's compositor.
+    """
+
+    name: str
+    shutter: float
+    frame: jaxblur.Frame
+    before: jaxblur.Frame
+    after: jaxblur.Frame
+    exact: jaxblur.Frame
+    truth: Any
+    vector_blur: Any
+
+
+def read(truth: Path) -> Shot:
+    """Read a frame with its neighbors and its truth."""
     shutter = common.reference_shutter(truth)
     number = truth.stem.removeprefix("truth_")
     sharp, centers, peer = (
         truth.with_name(f"{kind}_{number}.exr") for kind in ("frame", "gbuf", "vectorblur")
     )
-    frame = jaxblur.read_frame(sharp, shutter=shutter)
+    frame, before, after = (
+        jaxblur.read_frame(truth.with_name(f"frame_{k:04d}.exr"), shutter=shutter)
+        for k in (int(number), int(number) - 1, int(number) + 1)
+    )
     exact = jaxblur.read_frame(sharp, shutter=shutter, velocity_from=centers, depth_from=centers)
-    return frame, exact, exr.read_image(truth), exr.read_image(peer, layer="Composite")
+    images = exr.read_image(truth), exr.read_image(peer, layer="Composite")
+    return Shot(truth.parent.name, shutter, frame, before, after, exact, *images)
+
+
+def with_neighbors(shot: Shot) -> Any:
+    """`layered`, given the frames before and after."""
+    near = {"before": shot.before, "after": shot.after, "shutter": shot.shutter}
+    return jaxblur.layered(shot.frame, jaxblur.LayeredParameters(), **near)
 
 
 def psnr(image: Any, truth: Any) -> float:
@@ -94,33 +130,41 @@ def main() -> None:
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     truths = common.reference_truths(options.reference_data)
+    shots = [read(path) for path in truths[: 1 if options.quick else None]]
+    filters = {name: blur(name) for name in ("layered", "guertin2014")}
     steps: dict[str, list[float]] = {}
-    peers, sheet = [], []
-    filters = {"layered": blur("layered"), "guertin2014": blur("guertin2014")}
-    for path in truths[: 1 if options.quick else None]:
-        frame, exact, truth, vector_blur = read(path)
-        seconds = cpu_seconds(filters, frame)
-        images = {name: np.asarray(function(frame)) for name, function in variants().items()}
-        images["exact vectors"] = np.asarray(filters["layered"](exact))
+    peers: dict[str, list[metrics.Scores]] = {}
+    times, sheet = [], []
+    for shot in shots:
+        seconds = cpu_seconds(filters, shot.frame)
+        times.append([shot.name, seconds["layered"] / seconds["guertin2014"]])
+        images = {name: np.asarray(function(shot.frame)) for name, function in variants().items()}
+        images["exact vectors"] = np.asarray(filters["layered"](shot.exact))
         for name, image in images.items():
-            steps.setdefault(name, []).append(psnr(image, truth))
+            steps.setdefault(name, []).append(psnr(image, shot.truth))
         rivals = {
             "layered": images["layered"],
-            "guertin2014": np.asarray(filters["guertin2014"](frame)),
-            "Blender's Vector Blur": vector_blur,
+            "layered, with the frames before and after": np.asarray(with_neighbors(shot)),
+            "guertin2014": np.asarray(filters["guertin2014"](shot.frame)),
+            "Blender's Vector Blur": shot.vector_blur,
         }
         for name, image in rivals.items():
-            scores = metrics.compare(image, truth)
-            peers.append(
-                [path.parent.name, name, scores.psnr, scores.flip, 1000 * seconds.get(name, np.nan)]
-            )
-        error = pictures.error_image(images["layered"], truth)
-        sheet.append([np.asarray(frame.color), images["layered"], truth, error])
-    names = [path.parent.name for path in truths[: len(sheet)]]
-    rows = [[name, *scores, float(np.mean(scores))] for name, scores in steps.items()]
-    common.write_table(options.output, "steps", ["variant", *names, "mean"], rows)
-    columns = ["scene", "method", "PSNR, dB", "FLIP", "CPU ms"]
-    common.write_table(options.output, "peers", columns, peers)
+            peers.setdefault(name, []).append(metrics.compare(image, shot.truth))
+        window = pictures.worst_window(images["layered"], shot.truth, WINDOW)
+        cells = [shot.frame.color, *list(rivals.values())[:2], shot.truth]
+        cells += [pictures.error_image(cell, shot.truth) for cell in cells[1:3]]
+        sheet.append([pictures.enlarged(np.asarray(cell)[window], ENLARGE) for cell in cells])
+    tables = {
+        "steps": steps,
+        "peers": {name: [score.psnr for score in scores] for name, scores in peers.items()},
+        "flip": {name: [score.flip for score in scores] for name, scores in peers.items()},
+    }
+    names = [shot.name for shot in shots]
+    for table, scores in tables.items():
+        rows = [[name, *values, float(np.mean(values))] for name, values in scores.items()]
+        common.write_table(options.output, table, ["method", *names, "mean"], rows)
+    columns = ["scene", "processor time of layered / guertin2014"]
+    common.write_table(options.output, "times", columns, times)
     pictures.write_png(options.output / "errors.png", pictures.contact_sheet(sheet))
 
 

@@ -61,6 +61,7 @@ def rendered(folder: Path) -> list[tuple[common.Example, np.ndarray]]:
         depth = np.asarray(example.frame.depth)
         camera = json.loads(truth.with_name("camera.json").read_text(encoding="utf-8"))
         if (depth > 1e9).any():
+            example = example._replace(name=f"{example.name}, rendered")
             pairs.append((example, turn_of(camera, 11, (depth.shape[0], depth.shape[1]))))
     return pairs
 

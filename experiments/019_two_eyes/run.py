@@ -7,7 +7,7 @@ truth. The right view is warped to the left by the disparity, at pixels that bot
 subtracted. What is left of a true pair is highlights, and blur across other things; a filter should
 leave the same. Its excess is ``(L - R) - (true L - true R)``, root mean square of display values
 times 1000. Writes
-``two_eyes.csv``, ``two_eyes.md`` and ``two_eyes.png``. Takes four minutes on two cores.
+``two_eyes.csv``, ``two_eyes.md`` and ``two_eyes.png``.
 """
 
 from typing import Any, NamedTuple
