@@ -29,8 +29,8 @@ def shaken(place, time=0):
 
 
 def refined(place, before=True, after=True, backend="xla"):
-    near = [shaken(place, side) if given else None for side, given in ((-1, before), (1, after))]
-    frame = through_five_places(shaken(place), *near, jnp.float32(SHUTTER), backend)
+    early, late = shaken(place, -1) if before else None, shaken(place, 1) if after else None
+    frame = through_five_places(shaken(place), early, late, jnp.float32(SHUTTER), backend)
     return np.asarray(frame.path)[SIZE[0] // 2, SIZE[1] // 2]
 
 

@@ -38,6 +38,7 @@ def full_plan(frame: jaxblur.Frame) -> jaxblur.Plan:
         filter=info.name,
         settings=info.kind(**record["settings"], radius=statistics.radius),
         parameters=info.make_parameters(**record["parameters"]),
+        summary="the measure of loss",
         reason="the measure of loss",
         loss=0.0,
         spread=0.0,
