@@ -8,6 +8,7 @@ import pytest
 from jaxblur import Frame, vectors
 from jaxblur.filters.layered.five_places import through_five_places
 from jaxblur.filters.layered.neighbors import displacement_at
+from jaxblur.settings import Backend
 
 SIZE, SHUTTER = (12, 40), 0.5
 
@@ -28,7 +29,7 @@ def shaken(place, time=0):
     )
 
 
-def refined(place, before=True, after=True, backend="xla"):
+def refined(place, before=True, after=True, backend: Backend = "xla"):
     early, late = shaken(place, -1) if before else None, shaken(place, 1) if after else None
     frame = through_five_places(shaken(place), early, late, jnp.float32(SHUTTER), backend)
     return np.asarray(frame.path)[SIZE[0] // 2, SIZE[1] // 2]
