@@ -62,7 +62,7 @@ def passes_before(
     noise: Noise | None,
     others: Others,
 ) -> tuple[Images, Inputs, Plan]:
-    """What pass L5 reads: passes L1 to L4.
+    """What pass L5 reads: passes L0 to L4.
 
     Args:
         settings: of the filter.
