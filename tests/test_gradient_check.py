@@ -15,7 +15,7 @@ from scipy import ndimage
 import jaxblur
 from jaxblur import check_gradient
 from jaxblur.gradient_check import fastest_object, quantities
-from tests.helpers import random_frame, slow
+from tests.helpers import random_frame, with_slow
 
 SIZE = (48, 64)
 GROUND, ZOOM = np.array([-1.4, 2.1]), 0.12
@@ -90,7 +90,7 @@ def agree(table, bar):
 
 
 @pytest.mark.parametrize(
-    "name", ["mcguire2012", "pixel_velocity", slow("guertin2014"), slow("layered")]
+    "name", with_slow(sorted(jaxblur.FILTERS), "guertin2014", "layered", "mcguire2012")
 )
 def test_derivatives_do_what_the_picture_does(name):
     frame, truth = rendered("cube_over_crates")

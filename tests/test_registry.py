@@ -21,7 +21,7 @@ from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
 from jaxblur.fitting import FitResult
 from tests.command_line import refused, run
 from tests.exr_files import CAR, plain_frame, write_single
-from tests.helpers import random_frame, registered
+from tests.helpers import random_frame, registered, slow
 
 FILE = """
 import dataclasses
@@ -118,8 +118,8 @@ def test_every_parameter_says_where_it_stops_to_matter():
     [
         *(("guertin2014", "gamma", 0), ("guertin2014", "phi", 0)),
         *(("guertin2014", "depth_sharpness", 0), ("mcguire2012", "soft_z_extent", 1)),
-        *(("layered", "front_sharpness", 0), ("layered", "own_tolerance", 1)),
-        *(("layered", "landing_tolerance", 1), ("layered", "distinct", 1)),
+        *(slow("layered", "front_sharpness", 0), slow("layered", "own_tolerance", 1)),
+        *(slow("layered", "landing_tolerance", 1), slow("layered", "distinct", 1)),
     ],
 )
 def test_beyond_the_useful_range_hardly_anything_changes(name, parameter, end):

@@ -290,6 +290,7 @@ def test_a_sequence_blurs_all_views_as_single_frames_do(tmp_path):
         assert np.abs(made - exr.read_image(tmp_path / "in.0002.exr", layer)).max() > 0.01
 
 
+@pytest.mark.slow
 def test_layered_sees_the_neighbors_of_each_view(tmp_path):
     frames = [tmp_path / f"in.{number:04d}.exr" for number in (1, 2)]
     light = np.linspace(0.1, 0.9, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
