@@ -232,8 +232,8 @@ def measure(
     frame = moving_frame(*size)
     noise = jaxblur.Noise(jnp.zeros(size), jnp.zeros((*size, 2)))
     frames = jax.tree.map(lambda buffer: jnp.stack([buffer] * batch), frame)
-    runs: dict[tuple[str, int, str], Callable[[], Any]] = {}
-    compiled: dict[tuple[str, int, str], tuple[Any, float]] = {}
+    runs: dict[str, Callable[[], Any]] = {}
+    compiled: dict[str, tuple[tuple[str, int, str], tuple[Any, float]]] = {}
     for name in filters:
         counts = extent.samples if name == COUNTED else extent.usual
         for samples, kind in itertools.product(counts, ("forward", "gradient")):
@@ -243,11 +243,14 @@ def measure(
             started = time.perf_counter()
             several = jax.vmap(one, (None, 0, None)) if batch > 1 else one
             ready = jax.jit(several).lower(*arguments).compile()
-            key = name, samples, kind
-            compiled[key] = ready, time.perf_counter() - started
-            runs[key] = _waiting(functools.partial(ready, *arguments), extent.queued)
+            label = f"{name} {samples} {kind}"
+            compiled[label] = (name, samples, kind), (ready, time.perf_counter() - started)
+            runs[label] = _waiting(functools.partial(ready, *arguments), extent.queued)
     times = time_in_turn(runs, extent.repeats)
-    return [_row(size, batch, key, times[key], compiled[key], extent.queued, floor) for key in runs]
+    return [
+        _row(size, batch, key, times[label], program, extent.queued, floor)
+        for label, (key, program) in compiled.items()
+    ]
 
 
 def _row(
