@@ -164,7 +164,7 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
                 info.path,
                 f"no view {name!r} with color; --views takes {', '.join(colored)} or all.",
             )
-    # One view that is named is read as any layer is, with what it lacks from the default view.
+    # A single named view is read like a layer: channels that it lacks come from the default view.
     return [] if asked is not None and asked != ALL and len(asked) == 1 else names
 
 

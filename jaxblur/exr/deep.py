@@ -150,25 +150,31 @@ def read_deep_layers(
     for size, pixel, values in _read_bands(info, names, channel):
         sizes.append(size)
         bands.append(converted(pixel, values))
+    return tuple(
+        Buffers(
+            *(color, distance, velocity, path[0] if path else None),
+            *(group.channels, channel, kind, guess),
+        )
+        for color, distance, velocity, *path in _layers_of(bands, sizes, layers)
+    )
+
+
+def _layers_of(
+    bands: Sequence[Samples], sizes: Sequence[tuple[int, int]], layers: int
+) -> Iterator[list[np.ndarray]]:
+    """Color, depth, velocity and, if known, path of the first layer and those with samples."""
     cuts = cuts_of(bands, layers)
 
     def layer_of(band: Samples) -> np.ndarray:
         return np.searchsorted(cuts, band.depth, side="right")
 
     filled = {0}.union(*(np.unique(layer_of(band)).tolist() for band in bands))
-    found = []
     for number in sorted(filled):
         flat = [
             _flattened(band.take(layer_of(band) == number), size)
             for band, size in zip(bands, sizes, strict=True)
         ]
-        buffers = [np.concatenate(values) for values in zip(*flat, strict=True)]
-        color, distance, velocity = buffers[:3]
-        curve = buffers[3] if len(buffers) > 3 else None
-        found.append(
-            Buffers(color, distance, velocity, curve, group.channels, channel, kind, guess)
-        )
-    return tuple(found)
+        yield [np.concatenate(values) for values in zip(*flat, strict=True)]
 
 
 def cuts_of(bands: Sequence[Samples], layers: int) -> Float[np.ndarray, " cuts"]:
