@@ -48,9 +48,12 @@ def quick_xla() -> str:
 
 
 if "XLA_FLAGS" not in os.environ:
-    # Tests compile far longer than they run. `XLA_FLAGS= pytest` compiles as users do; a slow test
-    # (tests/test_xla_defaults.py) does so for filters, native code and gradients.
+    # Tests compile far longer than they run. `XLA_FLAGS= JAXBLUR_KERNEL_FLAGS= pytest` compiles as
+    # users do; a slow test (tests/test_xla_defaults.py) does so for filters and native code.
     os.environ["XLA_FLAGS"] = quick_xla()
+
+# GCC takes half the time without optimization. Kernels run slower, but tests run them on small frames.
+os.environ.setdefault("JAXBLUR_KERNEL_FLAGS", "-O0")
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 if COMPILED not in os.environ:

@@ -21,6 +21,12 @@ from tests.test_native import make_frame, parameters_of, runs
 SIZES = {"nearest": [(5, 17)], "bilinear": [(1, 1), (5, 17)]}
 
 
+def with_endless_motion(frame: jaxblur.Frame) -> jaxblur.Frame:
+    """The frame with motion that leads far out of the image, to infinity, and nowhere."""
+    velocity = 1e4 * frame.velocity
+    return frame.replace(velocity=velocity.at[0, 0].set(jnp.array([jnp.inf, jnp.nan])))
+
+
 def run_filter(name: str) -> None:
     """Values and derivatives by every input, with both fetches."""
     parameters = jax.tree.map(jnp.float32, parameters_of(name))
@@ -33,8 +39,10 @@ def run_filter(name: str) -> None:
             return jnp.sum(by_native(*inputs) ** 2)
 
         for size in sizes:
-            value, _ = loss((make_frame(size), parameters))
+            frame = make_frame(size)
+            value, _ = loss((frame, parameters))
             assert np.isfinite(value), (name, fetch, size)
+            loss((with_endless_motion(frame), parameters))
             print(name, fetch, size)
 
 
@@ -42,8 +50,7 @@ def run_neighbors() -> None:
     """Values of layered where it reads most; each size has motion that leads out of the image."""
     for size in ((1, 1), (5, 17)):
         frame = make_frame(size)
-        velocity = 1e4 * frame.velocity
-        fast = frame.replace(velocity=velocity.at[0, 0].set(jnp.array([jnp.inf, jnp.nan])))
+        fast = with_endless_motion(frame)
         frame = frame.replace(valid=jnp.ones(size, bool).at[0, 0].set(False))
         settings = jaxblur.Settings(samples=9, radius=40, fetch="bilinear", backend="native")
         parameters = jaxblur.LayeredParameters()

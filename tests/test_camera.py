@@ -222,10 +222,7 @@ def error_of(name):
     "name",
     [
         "pixel_velocity",
-        *[
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("layered", "guertin2014", "mcguire2012")
-        ],
+        *[pytest.param(name, marks=pytest.mark.slow) for name in ("layered", "guertin2014")],
     ],
 )
 def test_a_filter_has_a_derivative_by_the_source_of_motion(name):

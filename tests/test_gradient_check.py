@@ -126,9 +126,9 @@ def on(scene):
 BARS = {"pixel_velocity": 0.1, "layered": 0.15, "guertin2014": 0.25}
 RENDERED = ("sky_car", "falling_cubes")
 CASES = [
-    *(("pixel_velocity", scene) for scene in (*RENDERED, "gears", "crossing")),
-    *(("layered", scene) for scene in (*RENDERED, "gears", "crossing")),
-    *(("guertin2014", scene) for scene in (*RENDERED, "crossing")),
+    *(("layered", scene) for scene in (*RENDERED, "gears")),
+    *(("guertin2014", scene) for scene in (RENDERED[0], "crossing")),
+    ("pixel_velocity", "crossing"),
 ]
 """The cube over crates is above. Not here, since they fail: guertin2014 on gears (1.38 to 1.53),
 and mcguire2012. Experiment 013 has the ratios, and the causes as far as they are known."""

@@ -44,7 +44,6 @@ def twice(name, backend, looped):
 @pytest.mark.parametrize(
     ("name", "backend"),
     [
-        ("pixel_velocity", "native"),
         ("pixel_velocity", "xla"),
         ("guertin2014", "native"),
     ],

@@ -91,9 +91,10 @@ def test_equals_xla_in_every_setting(options):
     assert_trees_close(by_native(frame, parameters), by_xla(frame, parameters), 2e-6)
 
 
-# The few slices that `layered` has here are its fewest.
+# The few slices that `layered` has here are its fewest, and mcguire2012 spaces its taps as
+# guertin2014 does.
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted({*jaxblur.FILTERS} - {"layered"}))
+@pytest.mark.parametrize("name", ["guertin2014", "pixel_velocity"])
 def test_equals_xla_where_short_paths_take_fewer_samples(name):
     frame, parameters = make_frame((9, 37)), parameters_of(name)
 
@@ -167,23 +168,19 @@ def test_derivatives_by_every_input_equal_those_of_xla(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "channels"),
-    [("guertin2014", 5), ("pixel_velocity", 1)],
-)
-def test_any_number_of_channels_has_a_native_form(name, channels):
+@pytest.mark.parametrize("channels", [1, 5])
+def test_any_number_of_channels_has_a_native_form(channels):
     frame = make_frame((5, 19))
     color = jnp.tile(frame.color, 2)[..., :channels]
-    parameters = parameters_of(name)
 
     def value_and_derivative(blur):
         def loss(color):
-            result = blur(dataclasses.replace(frame, color=color), parameters)
+            result = blur(dataclasses.replace(frame, color=color), None)
             return jnp.sum(result**2), result
 
         return jax.jit(jax.grad(loss, has_aux=True))(color)
 
-    ours, theirs = map(value_and_derivative, runs(name, fetch="bilinear"))
+    ours, theirs = map(value_and_derivative, runs("pixel_velocity", fetch="bilinear"))
     assert ours[1].shape == (5, 19, channels)
     assert_trees_close(ours, theirs, 1e-5)
 

@@ -22,9 +22,12 @@ ROOT = pathlib.Path(__file__).parents[1]
 TESTS = {
     "tests/test_kernels_operations.py": "table or neighbors or loop or limit or reads or integers",
     "tests/test_kernels_marks.py": "native",
-    "tests/test_native.py": "scalars or nan_and_infinity",
 }
 """Expressions of pytest that choose tests by file: those that read, mark and add most."""
+FLAGS = (
+    *("-O0", "-g1", "-fno-omit-frame-pointer", "-fno-wrapv", "-DSANITIZED"),
+    *("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
+)
 FILTERS = ("guertin2014", "layered")
 """The others read, mark and add by the same parts of the engine, and less."""
 
@@ -50,7 +53,7 @@ def sanitized(tmp_path_factory):
     folder.chmod(0o700)
     libraries = filter(None, map(library, ("libasan.so", "libubsan.so", "libstdc++.so")))
     return os.environ | {
-        build.SANITIZE: "1",
+        build.MORE_FLAGS: " ".join(FLAGS),
         "LD_PRELOAD": " ".join(libraries),
         # Python never frees some of its memory; short traces of allocations save time.
         "ASAN_OPTIONS": ":".join(

@@ -1,6 +1,6 @@
-"""Filters, native code and gradients where XLA compiles as it does for users.
+"""Filters, native code and gradients, compiled as for users: by XLA and by the C++ compiler.
 
-The other tests let it compile fast (tests/conftest.py).
+The other tests let both compile fast (tests/conftest.py).
 """
 
 import os
@@ -10,22 +10,24 @@ import sys
 
 import pytest
 
+from jaxblur.kernels.cpp import build
+
 ROOT = pathlib.Path(__file__).parents[1]
 TESTS = {
     # One frame for each filter in float64, which XLA computes.
     "tests/test_filters.py": "plain_loops and (shape0 or shape60 or shape64) or vmap_equals",
     "tests/test_native.py": "size0 or size4",
-    "tests/test_filter_gradients.py": "kink or second_derivatives",
+    "tests/test_filter_gradients.py": "pixel_velocity and kink or native-expected",
 }
 """Expressions of pytest that choose tests by file."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", TESTS)
-def test_passes_as_xla_compiles_for_users(file):
+def test_passes_as_users_compile(file):
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", file, "-k", TESTS[file]],
-        env=os.environ | {"XLA_FLAGS": ""},
+        env=os.environ | {"XLA_FLAGS": "", build.MORE_FLAGS: ""},
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -36,12 +36,8 @@ FLAGS = (
     *("-O3", "-std=c++17", "-shared", "-fPIC", "-fwrapv", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-Wno-psabi"),
 )
-SANITIZER_FLAGS = (
-    *("-O0", "-g1", "-fno-omit-frame-pointer", "-fno-wrapv", "-DSANITIZED"),
-    *("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
-)
-SANITIZE = "JAXBLUR_SANITIZE_KERNELS"
-"""Environment variable; if it is 1, `SANITIZER_FLAGS` are added, for tests."""
+MORE_FLAGS = "JAXBLUR_KERNEL_FLAGS"
+"""Environment variable; its words are added to `FLAGS`: sanitizers, less optimization."""
 # Tried in this order: compilers differ in the flag for "this machine".
 MACHINE_FLAGS = (("-march=native",), ("-mcpu=native",), ())
 
@@ -103,7 +99,7 @@ def _temporary_folder() -> pathlib.Path:
 
 
 def _flags() -> tuple[str, ...]:
-    return FLAGS + SANITIZER_FLAGS if os.environ.get(SANITIZE) == "1" else FLAGS
+    return (*FLAGS, *os.environ.get(MORE_FLAGS, "").split())
 
 
 def _compile(source: str, library: pathlib.Path) -> None:
