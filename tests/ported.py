@@ -114,6 +114,59 @@ def run_shaders(page, kind, graph, code, planes, parameters=None):
     return np.frombuffer(found, np.float32).reshape(height, width, graph.channels)
 
 
+def run_vulkan(graph, code, planes):
+    """Run a filter that was printed as WGSL by the wheel wgpu, through Vulkan."""
+    wgpu = pytest.importorskip("wgpu", reason="needs pip install wgpu")
+    adapters = wgpu.gpu.enumerate_adapters_sync()
+    adapter = next((a for a in adapters if a.info["backend_type"] == "Vulkan"), None)
+    if adapter is None:
+        pytest.skip("needs a Vulkan driver: apt install mesa-vulkan-drivers")
+    device, plan = adapter.request_device_sync(), plan_of(graph)
+    height, width = planes["color"].shape[:2]
+    usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+    buffers, bindings = {}, {}
+    for buffer, planned in zip(graph.buffers, plan["buffers"], strict=True):
+        made = device.create_buffer(size=4 * buffer.elements(height, width), usage=usage)
+        if buffer.role == "input":
+            array = np.minimum(np.asarray(planes[buffer.name], np.float32), np.float32(1e18))
+            device.queue.write_buffer(made, 0, np.ascontiguousarray(array))
+        buffers[buffer.name], bindings[buffer.name] = made, planned["binding"]
+    sizes = np.array([height, width], np.int32).tobytes()
+    values = np.array(list(graph.parameters.values()), np.float32).tobytes()
+    data = (sizes + values).ljust(16 * -(-len(plan["uniforms"]) // 4), b"\0")
+    uniforms = device.create_buffer_with_data(data=data, usage=wgpu.BufferUsage.UNIFORM)
+    module = device.create_shader_module(code=code)
+    encoder = device.create_command_encoder()
+    for node, part in zip(graph.nodes, plan["passes"], strict=True):
+        kinds = {0: "uniform"} | {bindings[name]: "read-only-storage" for name in part["reads"]}
+        kinds[bindings[part["writes"]]] = "storage"
+        layout = device.create_bind_group_layout(
+            entries=[
+                {"binding": k, "visibility": wgpu.ShaderStage.COMPUTE, "buffer": {"type": kind}}
+                for k, kind in kinds.items()
+            ]
+        )
+        bound = {0: uniforms} | {bindings[n]: buffers[n] for n in (*part["reads"], part["writes"])}
+        group = device.create_bind_group(
+            layout=layout,
+            entries=[{"binding": k, "resource": {"buffer": b}} for k, b in bound.items()],
+        )
+        pipeline = device.create_compute_pipeline(
+            layout=device.create_pipeline_layout(bind_group_layouts=[layout]),
+            compute={"module": module, "entry_point": f"pass_{node.name}"},
+        )
+        # Buffers of a new device are zero, so that none of marks need be cleared.
+        doing = encoder.begin_compute_pass()
+        doing.set_pipeline(pipeline)
+        doing.set_bind_group(0, group)
+        rows, columns = node_grid(node, height, width)
+        doing.dispatch_workgroups(-(-columns // plan["group"]), -(-rows // plan["group"]))
+        doing.end()
+    device.queue.submit([encoder.finish()])
+    found = np.frombuffer(device.queue.read_buffer(buffers["blurred"]), np.float32)
+    return found.reshape(height, width, graph.channels)
+
+
 def run_hlsl(graph, code, planes):
     """Run a filter that was printed as HLSL on the processor, by the compiler of slangpy."""
     slang = pytest.importorskip("slangpy", reason="needs the Slang compiler: pip install slangpy")

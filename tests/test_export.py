@@ -28,7 +28,7 @@ from jaxblur.kernels import (
 from jaxblur.noise import make_noise
 
 from .helpers import random_frame, registered
-from .ported import run_c, run_hlsl, run_sanitized, run_shaders, shader_page
+from .ported import run_c, run_hlsl, run_sanitized, run_shaders, run_vulkan, shader_page
 
 FILTERS = ("pixel_velocity", "mcguire2012", "guertin2014", "layered")
 FETCHES = ("nearest", "bilinear")
@@ -182,6 +182,16 @@ def test_glsl_equals_jax(name, fetch, page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
+def test_wgsl_equals_jax_through_vulkan(name):
+    settings = settings_of(name)
+    graph = graph_of(filter_info(name), settings=settings, channels=3)
+    for frame in frames():
+        found = run_vulkan(graph, print_wgsl(graph), planes_of(frame))
+        check(found, expected(name, frame, settings))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILTERS)
 def test_hlsl_equals_jax(name):
     settings = settings_of(name)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
@@ -300,6 +310,30 @@ def test_a_filter_of_ones_own_is_exported_with_what_lies_between_its_passes(tmp_
         wanted = own_filter(frames()[0], Gain())
     np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
     assert [node.name for node in graph.nodes] == ["make_image", "three", "make_blurred"]
+
+
+def angle(at, images, _, __):
+    """The angle of each channel and the next as coordinates of a point."""
+    x, y, z = (value - 0.5 for value in images[0].here())
+    return Outcome((jnp.arctan2(y, x), jnp.arctan2(z, y), jnp.arctan2(x, z)))
+
+
+def angle_filter(frame, parameters, *, settings=None, noise=None):
+    return each_pixel(angle, frame.depth.shape, (Image(frame.color),), backend="xla")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "print_form"), [("Webgpu", print_wgsl), ("Webgl", print_glsl)], ids=["wgsl", "glsl"]
+)
+def test_angles_are_in_the_right_quadrant(kind, print_form, page):
+    info = FilterInfo(name="own", summary="a test", function=angle_filter)
+    with registered(info):
+        graph = graph_of(info, channels=3)
+    found = run_shaders(page, kind, graph, print_form(graph), planes_of(frames()[0]))
+    wanted = np.asarray(angle_filter(frames()[0], None))
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert wanted.min() < -2 and wanted.max() > 2
 
 
 def rejected_filter(frame, parameters, *, settings=None, noise=None):

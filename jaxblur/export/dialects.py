@@ -62,7 +62,10 @@ HLSL = Dialect(
 GLSL = Dialect(
     name="glsl",
     types={"float32": "float", "int32": "int", "bool": "bool"},
-    functions={**_COMMON, **{"sign": "sign", "sign_int": "sign", "round_even": "roundEven"}},
+    functions={
+        **_COMMON,
+        **{"sign": "sign", "sign_int": "sign", "round_even": "roundEven", "atan2": "atan"},
+    },
     infinity=_LARGEST,
     suffix="",
     select=lambda which, usual, other: f"{which} ? {usual} : {other}",
