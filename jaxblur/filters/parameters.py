@@ -317,8 +317,8 @@ class McGuireParameters:
 class LayeredParameters:
     """Parameters of the layered filter; floats, arrays or tracers.
 
-    The first three were fitted to scenes of the catalogue with an earlier edition of the filter, and
-    stay since the optimum is flat; the others have round values (experiment 012).
+    The first three were fitted to scenes of the catalogue with an earlier edition of the filter;
+    they were kept, since the optimum is flat. The others have round values (experiment 012).
 
     Attributes:
         front_sharpness: how strictly one depth is in front of another, per unit of log depth,
