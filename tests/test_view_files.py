@@ -212,3 +212,18 @@ def test_post_takes_the_file_of_each_view(tmp_path):
         made = exr.read_image(tmp_path / f"out.{view}.2.exr")
         np.testing.assert_allclose(made, wanted, atol=1e-6)
         assert np.abs(made - sharp).max() > 0
+
+
+def test_layers_have_a_file_for_each_view(tmp_path):
+    for number, view in enumerate(VIEWS):
+        frame = plain_frame(SHAPE, seed=number)
+        for name in ("front", "back"):
+            write_single(tmp_path / f"{name}.{view}.exr", frame | {"A": np.ones_like(frame["Z"])})
+    layers = (tmp_path / "front.%V.exr", tmp_path / "back.%V.exr")
+    planned = run("layers", *layers, "-o", tmp_path / "out.%V.exr", "--dry-run")
+    assert planned.status == 0, planned.err
+    rows = [line.split() for line in planned.out.splitlines()[1:]]
+    read = [str(tmp_path / f"{name}.{view}.exr") for view in VIEWS for name in ("front", "back")]
+    assert [row[1] for row in rows if row[0] == "read"] == read
+    written = [str(tmp_path / f"out.{view}.exr") for view in VIEWS]
+    assert [row[1] for row in rows if row[0] == "write"] == written

@@ -1,11 +1,12 @@
 """FXAA and MLAA against 256 samples a pixel: error, time, and what they do to the noise of a blur.
 
-    python -m experiments.017_antialiasing.run -o OUT [--quick]
+    python -m experiments.017_antialiasing.run -o OUT [--quick | --times]
 
 Writes error.csv and .md, scenes.csv and .md, found.csv and .md (edges), noise.csv and .md, time.csv
 and .md, edges.png and vegetation.png.
 """
 
+import argparse
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -32,6 +33,9 @@ CUTS = {
     VEGETATION: (slice(75, 135), slice(110, 190)),
 }
 """Scenes of which a part is shown."""
+TIMED = ("random_cubes", VEGETATION)
+REPEATS = 25
+"""Of each time."""
 THRESHOLD = 0.1
 """Of an edge, as `posts.MLAAParameters` has it for luma and depth."""
 
@@ -170,8 +174,18 @@ def enlarged(image: Any, cut: tuple[slice, slice]) -> np.ndarray:
 def main() -> None:
     """Run the experiment."""
     parser = output_parser("Antialiasing against 256 samples a pixel.")
-    parser.add_argument("--quick", action="store_true", help="three scenes")
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument("--quick", action="store_true", help="three scenes")
+    parts.add_argument("--times", action="store_true", help="times alone")
     arguments = parser.parse_args()
+    if not arguments.times:
+        write_errors(arguments)
+    columns = ("method", *(f"{name}, CPU ms" for name in TIMED))
+    write_table(arguments.output, "time", columns, times(TIMED, REPEATS))
+
+
+def write_errors(arguments: argparse.Namespace) -> None:
+    """Write everything but times."""
     moving = SCENES[:2] if arguments.quick else SCENES
     names = (*moving, VEGETATION)
     rows, images = errors(names)
@@ -192,9 +206,6 @@ def main() -> None:
     write_table(arguments.output, "found", columns, edges_found(names))
     columns = ("image", "PSNR to the mean of 16 blurs", "PSNR to the truth")
     write_table(arguments.output, "noise", columns, noise(moving))
-    timed = ("random_cubes", VEGETATION)
-    columns = ("method", *(f"{name}, CPU ms" for name in timed))
-    write_table(arguments.output, "time", columns, times(timed, 9))
 
 
 if __name__ == "__main__":
