@@ -160,6 +160,10 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
         (("in.%V.exr", "-o", "out.exr"), "write %V in the name of the output too"),
         (("in.left.exr", "-o", "out.%V.exr"), "--output: out.%V.exr has %V"),
         (
+            ("in.left.exr", "-o", "out.exr", "--truth", "in.%V.exr"),
+            "one view at a time: --views left and in.left.exr",
+        ),
+        (
             ("in.%V.exr", "-o", "out.%V.exr", "--truth", "in.left.exr"),
             "--truth: in.left.exr is one file for the views left, right",
         ),

@@ -55,14 +55,17 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
         right view is to be shared by cameras, its ``left_input`` is the input of the left one.
 
     Raises:
-        CommandError: a file of each view is needed, or there are none.
+        CommandError: a file of each view is needed and is not named so, or an option is for a view
+            that there is not.
     """
     given = {key: value for key, value in vars(arguments).items() if _has_place(value)}
     if not are_named(arguments):
-        for key, path in given.items():
+        if given:
+            key, path = next(iter(given.items()))
             raise CommandError(
                 f"{_option(key)}: {path} has {PLACE} for the name of a view, but "
-                f"{arguments.input} has none; write {PLACE} in both, or in neither."
+                f"{arguments.input} has none; write {PLACE} in both or in neither, or work on one "
+                f"view at a time: --views left and {_of_view(path, 'left')}."
             )
         return [arguments]
     names = list(dict.fromkeys(arguments.views or VIEWS))
