@@ -71,6 +71,7 @@ def test_a_sequence_of_files_for_each_view(tmp_path):
     assert made.status == 0, made.err
     rows = [line.split() for line in made.out.splitlines()[2:]]
     assert made.out.splitlines()[0].endswith("out.%V.####.exr: 4 written")
+    assert "view right: 2 frames: 2 blur" in made.err
     assert [row[:3] for row in rows] == [
         *(["1", "left", "guertin2014"], ["2", "left", "guertin2014"]),
         *(["1", "right", "guertin2014"], ["2", "right", "guertin2014"]),

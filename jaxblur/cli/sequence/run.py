@@ -82,12 +82,14 @@ class _Run:
         self.arguments, self.asked = arguments, asked
         self.plan, self.names = make_plan(arguments, asked)
         self.selects: list[bool] = []
-        view = view_files.label_of(arguments, several=False)
-        self.records = {job.frame: report.record_of(job, view) for job in self.plan.jobs}
+        self.view = view_files.label_of(arguments, several=False)
+        self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
 
     def work(self) -> None:
         """Work on the frames that are to be blurred or passed through."""
-        LOG.info("%d frames: %s", len(self.plan.jobs), report.counts_in(self.plan.jobs))
+        whose = f"view {self.view}: " if self.view else ""
+        counts = report.counts_in(self.plan.jobs)
+        LOG.info("%s%d frames: %s", whose, len(self.plan.jobs), counts)
         for job in self.plan.with_action("missing"):
             LOG.error("frame %d: %s", job.frame, job.reason)
         if todo := self.plan.with_action("blur", "pass"):
