@@ -27,6 +27,9 @@ from jaxblur.filters import filter_info
 SIZE = (180, 320)
 SHUTTER = 1.0
 SAMPLES = 128
+LARGE = (720, 1280)
+REPEATS = 9
+"""Of each time."""
 DISC = 7.0
 """Radius in pixels of the largest discs (of 2 % of the pixels)."""
 FILTERS = ("layered", "guertin2014")
@@ -66,7 +69,7 @@ def lens_of(case: Case, scene: scenes.Scene, depth: np.ndarray) -> posts.Lens:
     known = depth[np.isfinite(depth)]
     focus = 7.5 if case.scene == CASES[0].scene else float(np.quantile(known, case.before))
     focal = float(scene.world.camera.focal)
-    spread = focal * SIZE[1] * np.abs(1 / focus - 1 / depth)
+    spread = focal * depth.shape[1] * np.abs(1 / focus - 1 / depth)
     return posts.Lens.of_aperture(DISC / float(np.quantile(spread, 0.98)), focus, focal)
 
 
@@ -108,27 +111,49 @@ def images_of(frame: jaxblur.Frame, lens: posts.Lens, name: str) -> dict[str, An
     }
 
 
-def milliseconds(frame: jaxblur.Frame, lens: posts.Lens) -> list[tuple[str, str]]:
-    """Processor time of each part, least of six in turn."""
-    parts: dict[str, Callable[[], Any]] = {
-        name: functools.partial(blur, frame, name, frame.color) for name in FILTERS
-    }
-    parts["defocus, 64 samples"] = functools.partial(posts.defocus, frame, lens)
-    for samples in AT_ONCE:
-        parts[f"layered, {_joint(samples)}"] = functools.partial(
-            blur, frame, FILTERS[0], frame.color, samples, lens=lens
-        )
-    spent: dict[str, list[float]] = {name: [] for name in parts}
-    for _ in range(6):
-        for name, run in parts.items():
-            started = time.process_time()
+def milliseconds(sizes: tuple[tuple[int, int], ...], repeats: int) -> list[tuple[str, ...]]:
+    """Processor time of each part on the first scene, median of several in turn, at each size."""
+    scene = scenes.SCENES[CASES[0].scene]()
+    columns: list[dict[str, float]] = []
+    for size in sizes:
+        frame = jax.tree.map(jnp.asarray, scenes.render(scene, 0, SHUTTER, size, path=True))
+        lens = lens_of(CASES[0], scene, np.asarray(frame.depth))
+        parts = parts_of(frame, lens)
+        for run in parts.values():
             jax.block_until_ready(run())
-            spent[name].append(time.process_time() - started)
-    return [(name, f"{1000 * min(values):.1f}") for name, values in spent.items()]
+        spent: dict[str, list[float]] = {name: [] for name in parts}
+        for _ in range(repeats):
+            for name, run in parts.items():
+                started = time.process_time()
+                jax.block_until_ready(run())
+                spent[name].append(time.process_time() - started)
+        columns.append({name: 1000 * float(np.median(each)) for name, each in spent.items()})
+    return [(name, *(f"{column[name]:.1f}" for column in columns)) for name in columns[0]]
+
+
+def parts_of(frame: jaxblur.Frame, lens: posts.Lens) -> dict[str, Callable[[], Any]]:
+    """What is timed."""
+
+    def two_passes(samples: int) -> Any:
+        blurred = blur(frame, FILTERS[0], frame.color, samples)
+        return posts.defocus(frame.replace(color=blurred), lens)
+
+    parts: dict[str, Callable[[], Any]] = {
+        "guertin2014, 35 samples": functools.partial(blur, frame, "guertin2014", frame.color),
+        "defocus, 64 samples": functools.partial(posts.defocus, frame, lens),
+    }
+    for samples in AT_ONCE:
+        alone = functools.partial(blur, frame, FILTERS[0], frame.color, samples)
+        parts |= {
+            f"layered, {samples} samples": alone,
+            f"layered, {samples} samples, then defocus": functools.partial(two_passes, samples),
+            f"layered, {_joint(samples)}": functools.partial(alone, lens=lens),
+        }
+    return parts
 
 
 def render(output: Path, cases: tuple[Case, ...], samples: int) -> list[Score]:
-    """Score every order on every scene; write the picture and the times of the first one."""
+    """Score every order on every scene; write the picture of the first one."""
     scores = []
     for case in cases:
         scene = scenes.SCENES[case.scene]()
@@ -149,8 +174,6 @@ def render(output: Path, cases: tuple[Case, ...], samples: int) -> list[Score]:
                     [frame.color, *(error_image(made[order], truth) for order in shown)],
                 ]
                 write_png(output / "order.png", contact_sheet(sheet))
-                timed = milliseconds(frame, lens)
-                write_table(output, "times", ("what", "CPU ms, 320x180"), timed)
     each = [(*score[:3], *(f"{value:.4f}" for value in score.measures)) for score in scores]
     write_table(output, "scenes", ("scene", "filter", "order", *MEASURES), each)
     return scores
@@ -201,6 +224,10 @@ def main() -> None:
     else:
         cases, samples = (CASES[:1], 64) if arguments.quick else (CASES, SAMPLES)
         scores = render(arguments.output, cases, samples)
+        sizes = (SIZE,) if arguments.quick else (SIZE, LARGE)
+        timed = milliseconds(sizes, REPEATS)
+        columns = ("what", *(f"CPU ms, {width}x{height}" for height, width in sizes))
+        write_table(arguments.output, "times", columns, timed)
     write_table(arguments.output, "order", ("filter", "order", *MEASURES), means(scores))
     columns = ("scene", "better order", *(f"gain, {samples} samples" for samples in AT_ONCE))
     write_table(arguments.output, "gains", columns, gains(scores))

@@ -1,10 +1,12 @@
 """FXAA and MLAA against 256 samples a pixel: error, time, and what they do to the noise of a blur.
 
-    python -m experiments.017_antialiasing.run -o OUT [--quick]
+    python -m experiments.017_antialiasing.run -o OUT [--quick | --times]
 
-Writes error.csv and .md, noise.csv and .md, time.csv and .md, and edges.png.
+Writes error.csv and .md, scenes.csv and .md, found.csv and .md (edges), noise.csv and .md, time.csv
+and .md, edges.png and vegetation.png.
 """
 
+import argparse
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,11 +21,23 @@ from experiments.pictures import contact_sheet, write_png
 from jaxblur import metrics, posts, scenes
 from jaxblur.noise import make_noise
 
+from .vegetation import vegetation
+
+VEGETATION = "vegetation"
 SCENES = ("wheels_at_three_depths", "gears", "flagpole", "rotor_over_city", "random_cubes")
 SIZE = (180, 320)
 LARGE = (720, 1280)
 SAMPLES = (2, 4, 8, 16)
-CUT = (slice(40, 100), slice(110, 190))
+CUTS = {
+    SCENES[0]: (slice(40, 100), slice(110, 190)),
+    VEGETATION: (slice(75, 135), slice(110, 190)),
+}
+"""Scenes of which a part is shown."""
+TIMED = ("random_cubes", VEGETATION)
+REPEATS = 25
+"""Of each time."""
+THRESHOLD = 0.1
+"""Of an edge, as `posts.MLAAParameters` has it for luma and depth."""
 
 METHODS: dict[str, Callable[[jaxblur.Frame], Any]] = {
     "1 sample": lambda frame: frame.color,
@@ -38,11 +52,16 @@ METHODS: dict[str, Callable[[jaxblur.Frame], Any]] = {
 }
 
 
+def make(name: str) -> scenes.Scene:
+    """A scene of the catalogue, or the vegetation."""
+    return vegetation() if name == VEGETATION else scenes.SCENES[name]()
+
+
 def errors(names: tuple[str, ...]) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
     """Score every method on every scene; the images of each scene, by method."""
     rows, images = [], {}
     for name in names:
-        scene = scenes.SCENES[name]()
+        scene = make(name)
         frame = scenes.render(scene, 0, 0, SIZE, subpixels=1)
         made = {method: run(frame) for method, run in METHODS.items()}
         made |= {f"{n} samples": scenes.accumulate(scene, 0, 0, n, SIZE) for n in SAMPLES}
@@ -55,18 +74,35 @@ def errors(names: tuple[str, ...]) -> tuple[list[dict[str, Any]], dict[str, dict
 
 
 def means(rows: list[dict[str, Any]], scores: tuple[str, ...]) -> list[tuple[Any, ...]]:
-    """The mean of each method over the scenes."""
+    """The mean of each method over the scenes of the catalogue, and its scores on vegetation."""
     methods = dict.fromkeys(row["method"] for row in rows)
-    return [
-        (
-            method,
-            *(
-                f"{np.mean([row[score] for row in rows if row['method'] == method]):.4f}"
-                for score in scores
-            ),
-        )
-        for method in methods
-    ]
+    found = []
+    for method in methods:
+        of_method = [row for row in rows if row["method"] == method]
+        catalogue = [row for row in of_method if row["scene"] != VEGETATION]
+        (alone,) = (row for row in of_method if row["scene"] == VEGETATION)
+        mean = (np.mean([row[score] for row in catalogue]) for score in scores)
+        values = (*mean, *(alone[score] for score in scores))
+        found.append((method, *(f"{value:.4f}" for value in values)))
+    return found
+
+
+def edges_found(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Edges by luma and by depth, percent of all boundaries between pixels, at the larger size."""
+    rows = []
+    for name in names:
+        frame = scenes.render(make(name), 0, 0, LARGE, subpixels=1)
+        luma = np.asarray(posts.perceived_luma(frame.color))
+        nearness = 1 / np.asarray(frame.depth)
+        shares = []
+        for plane, relative in ((luma, False), (nearness, True)):
+            edges = 0
+            for one, other in ((plane[1:], plane[:-1]), (plane[:, 1:], plane[:, :-1])):
+                scale = np.maximum(np.maximum(one, other), 1e-9) if relative else 1
+                edges += np.sum(np.abs(one - other) >= THRESHOLD * scale)
+            shares.append(100 * edges / (2 * plane.size))
+        rows.append((name, *(f"{share:.1f}" for share in shares)))
+    return rows
 
 
 def noise(names: tuple[str, ...]) -> list[tuple[Any, ...]]:
@@ -110,48 +146,66 @@ def noise(names: tuple[str, ...]) -> list[tuple[Any, ...]]:
     ]
 
 
-def times(repeats: int) -> list[tuple[Any, ...]]:
-    """Processor time on a frame of 1280x720, least of several in turn."""
-    frame = scenes.render(scenes.SCENES["random_cubes"](), 0, 0, LARGE, subpixels=1)
-    frame = jax.tree.map(jnp.asarray, frame)
-    methods = {name: run for name, run in METHODS.items() if name != "1 sample"}
-    spent: dict[str, list[float]] = {name: [] for name in methods}
+def times(names: tuple[str, ...], repeats: int) -> list[tuple[Any, ...]]:
+    """Processor time on a frame of each scene at 1280x720, median of several in turn."""
+    frames = {name: scenes.render(make(name), 0, 0, LARGE, subpixels=1) for name in names}
+    frames = jax.tree.map(jnp.asarray, frames)
+    methods = {method: run for method, run in METHODS.items() if method != "1 sample"}
+    spent: dict[tuple[str, str], list[float]] = {}
     for run in methods.values():
-        jax.block_until_ready(run(frame))
+        jax.block_until_ready(run(frames[names[0]]))
     for _ in range(repeats):
-        for name, run in methods.items():
-            started = time.process_time()
-            jax.block_until_ready(run(frame))
-            spent[name].append(time.process_time() - started)
-    return [(name, f"{1000 * min(values):.1f}") for name, values in spent.items()]
+        for method, run in methods.items():
+            for name, frame in frames.items():
+                started = time.process_time()
+                jax.block_until_ready(run(frame))
+                spent.setdefault((method, name), []).append(time.process_time() - started)
+    return [
+        (method, *(f"{1000 * np.median(spent[method, name]):.1f}" for name in names))
+        for method in methods
+    ]
 
 
-def enlarged(image: Any) -> np.ndarray:
+def enlarged(image: Any, cut: tuple[slice, slice]) -> np.ndarray:
     """A part of an image, every pixel three wide."""
-    return np.asarray(image)[CUT].repeat(3, axis=0).repeat(3, axis=1)
+    return np.asarray(image)[cut].repeat(3, axis=0).repeat(3, axis=1)
 
 
 def main() -> None:
     """Run the experiment."""
     parser = output_parser("Antialiasing against 256 samples a pixel.")
-    parser.add_argument("--quick", action="store_true", help="two scenes")
+    parts = parser.add_mutually_exclusive_group()
+    parts.add_argument("--quick", action="store_true", help="three scenes")
+    parts.add_argument("--times", action="store_true", help="times alone")
     arguments = parser.parse_args()
-    names = SCENES[:2] if arguments.quick else SCENES
+    if not arguments.times:
+        write_errors(arguments)
+    columns = ("method", *(f"{name}, CPU ms" for name in TIMED))
+    write_table(arguments.output, "time", columns, times(TIMED, REPEATS))
+
+
+def write_errors(arguments: argparse.Namespace) -> None:
+    """Write everything but times."""
+    moving = SCENES[:2] if arguments.quick else SCENES
+    names = (*moving, VEGETATION)
     rows, images = errors(names)
     scores = ("psnr", "ssim", "flip")
-    write_table(arguments.output, "error", ("method", *scores), means(rows, scores))
+    both = (*scores, *(f"{VEGETATION}: {score}" for score in scores))
+    write_table(arguments.output, "error", ("method", *both), means(rows, scores))
     each = [(row["scene"], row["method"], *(f"{row[s]:.4f}" for s in scores)) for row in rows]
     write_table(arguments.output, "scenes", ("scene", "method", *scores), each)
-    shown = images[names[0]]
     picks = (
         ("1 sample", "FXAA 39", "MLAA luma, search 12"),
         ("4 samples", "8 samples", "256 samples"),
     )
-    sheet = contact_sheet([[enlarged(shown[name]) for name in row] for row in picks])
-    write_png(arguments.output / "edges.png", sheet)
+    for name, picture in zip(CUTS, ("edges.png", "vegetation.png"), strict=True):
+        shown, cut = images[name], CUTS[name]
+        sheet = contact_sheet([[enlarged(shown[pick], cut) for pick in row] for row in picks])
+        write_png(arguments.output / picture, sheet)
+    columns = ("scene", "luma, % of boundaries", "depth, % of boundaries")
+    write_table(arguments.output, "found", columns, edges_found(names))
     columns = ("image", "PSNR to the mean of 16 blurs", "PSNR to the truth")
-    write_table(arguments.output, "noise", columns, noise(names))
-    write_table(arguments.output, "time", ("method", "CPU ms"), times(7))
+    write_table(arguments.output, "noise", columns, noise(moving))
 
 
 if __name__ == "__main__":

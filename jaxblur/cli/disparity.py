@@ -34,7 +34,8 @@ def disparity_of(arguments: argparse.Namespace, depth: Any) -> Any:
     """Pixels by which the left view shows farther to the right what a right view shows.
 
     Args:
-        arguments: of the command, for the right view.
+        arguments: of the command, for the right view; the file of the left one is in
+            ``left_input`` where each view has a file, see `view_files.each`.
         depth: (H, W) of the view.
 
     Returns:
@@ -64,18 +65,26 @@ def _by_cameras(arguments: argparse.Namespace, depth: Any) -> Any:
     from jaxblur import exr
 
     path = arguments.input
+    left_path = getattr(arguments, "left_input", None) or path
     remedy = "give --disparity PX,DISTANCE"
-    info = exr.inspect(path)
-    if not exr.has_camera(info):
-        raise CommandError(
-            f"--disparity {CAMERAS}: {path}: no worldToCamera and worldToNDC in the header; "
-            f"{remedy}."
-        )
-    right, left = (exr.header_camera(info, view) for view in ("right", "left"))
+    headers = [exr.inspect(file) for file in (path, left_path)]
+    for header in headers:
+        if not exr.has_camera(header):
+            raise CommandError(
+                f"--disparity {CAMERAS}: {header.path}: no worldToCamera and worldToNDC in the "
+                f"header; {remedy}."
+            )
+    right, left = map(exr.header_camera, headers, ("right", "left"))
     if np.array_equal(right.world_to_camera, left.world_to_camera):
+        if left_path != path:
+            raise CommandError(
+                f"--disparity {CAMERAS}: {left_path} and {path} have the same camera in the "
+                f"header; {remedy}."
+            )
         raise CommandError(
             f"--disparity {CAMERAS}: {path}: views left and right have the same camera in the "
-            f"header; {remedy}."
+            "header, and a part holds only one; write each view as a part with its camera, or as "
+            f"a file (name.%V.exr), or {remedy}."
         )
     intrinsics = [jaxblur.Intrinsics(*camera[1:]) for camera in (right, left)]
     try:

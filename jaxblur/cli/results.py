@@ -4,12 +4,12 @@ import argparse
 import dataclasses
 import pathlib
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from jaxblur.settings import Settings
 
-from . import views
+from . import view_files, views
 from .arguments import CommandError, check_folder, file_path
 from .choice import Choice
 from .loading import Loaded, load
@@ -83,17 +83,18 @@ def settings_of(chosen: Choice) -> dict[str, Any]:
     return dataclasses.asdict(chosen.settings) | dict(chosen.parameters)
 
 
-def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
+def write(arguments: argparse.Namespace, first: argparse.Namespace, shots: Iterable[Any]) -> None:
     """Write the result folder of `blur --result`.
 
     Args:
         arguments: of the command.
+        first: those of its first frame, for the words on colors.
         shots: as `make_shot` gives them.
     """
     from jaxblur.report import COLORS, VIEW, write_result
 
     title = f"{arguments.input.name} against {arguments.truth.name}"
-    settings = {"shutter": arguments.shutter, COLORS: _words(arguments)}
+    settings = {"shutter": arguments.shutter, COLORS: _words(first)}
     if arguments.exposure is not None:
         settings |= arguments.exposure._replace(points=()).notes()
     if arguments.view:
@@ -102,44 +103,38 @@ def write(arguments: argparse.Namespace, shots: Iterable[Any]) -> None:
 
 
 def _words(arguments: argparse.Namespace) -> str:
-    """How colors are converted, for the page; of a sequence by its first frame."""
+    """How colors are converted, for the page."""
     from jaxblur import exr
-    from jaxblur.sequence import has_frame_number, parse_names
 
-    path = arguments.input
-    if has_frame_number(path):
-        names = parse_names(path)
-        path = names.path((arguments.frames or names.frames_on_disk())[0])
-    info = exr.inspect(path)
+    info = exr.inspect(arguments.input)
     channel = exr.choose_color(info, arguments.layer, arguments.color_channels).channels[0]
     return exr.conversion_of(info, channel, arguments.color_space, arguments.view).words
 
 
-def shots_of_frames(arguments: argparse.Namespace, jobs: Sequence[Any]) -> Iterator[Any]:
-    """Read the frames of a sequence back one at a time; a sequence does not fit into memory.
+def shots_of_frame(arguments: argparse.Namespace, job: Any) -> Iterator[Any]:
+    """Read a frame of a sequence back; a whole sequence does not fit into memory.
 
     Args:
-        arguments: of the command.
-        jobs: whose outputs exist.
+        arguments: of the command, or of `view_files.each`.
+        job: of the frame, whose outputs exist; the first is an ``.exr``.
 
     Yields:
-        A shot for each view of each frame.
+        A shot for each view.
     """
     from jaxblur import exr
 
-    for job in jobs:
-        sources = {role: job.inputs.get(role) for role in ROLES}
-        here = sources | {"seed": job.frame}
-        eyes = views.each(argparse.Namespace(**vars(arguments) | here))
-        one_for_all = job.outputs[0].suffix.lower() == ".exr"
-        files = len(eyes) * job.outputs[:1] if one_for_all else job.outputs
-        for eye, output in zip(eyes, files, strict=True):
-            with about_frame(job.frame):
-                loaded = load(eye, Settings())
-            blurred = exr.read_image(output, eye.layer if one_for_all else None)
-            notes = exr.inspect(output).parts[0].attributes
-            # A plan and an automatic radius depend on the frame.
-            settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
-            method = str(notes.get("jaxblur:filter", "output"))
-            name = f"frame {job.frame}" + (f" {eye.layer}" if len(eyes) > 1 else "")
-            yield make_shot(name, loaded, blurred, method, settings, sources)
+    sources = {role: job.inputs.get(role) for role in ROLES}
+    here = sources | {"seed": job.frame}
+    eyes = views.each(argparse.Namespace(**vars(arguments) | here))
+    output = job.outputs[0]
+    notes = exr.inspect(output).parts[0].attributes
+    for eye in eyes:
+        with about_frame(job.frame):
+            loaded = load(eye, Settings())
+        blurred = exr.read_image(output, eye.layer)
+        # A plan and an automatic radius depend on the frame.
+        settings = tomllib.loads("\n".join(str(notes.get(key, "")) for key in NOTES))
+        method = str(notes.get("jaxblur:filter", "output"))
+        view = view_files.label_of(eye, len(eyes) > 1)
+        name = " ".join(filter(None, (f"frame {job.frame}", view)))
+        yield make_shot(name, loaded, blurred, method, settings, sources)

@@ -6,10 +6,10 @@ import itertools
 import logging
 import pathlib
 import time
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from . import blurring, mattes, outputs, programs, results, stack, strength, views
+from . import blurring, mattes, outputs, programs, results, stack, strength, view_files, views
 from .arguments import CommandError, check_outputs
 from .choice import Choice, choose
 from .compute import start_jax
@@ -37,7 +37,6 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         CommandError: an option is wrong or an output must not be replaced.
         JaxblurIOError: a file cannot be read or written.
     """
-    from jaxblur import exr
     from jaxblur.sequence import has_frame_number
 
     arguments.in_sequence = False
@@ -48,6 +47,48 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         )
     if arguments.seed == "frame":
         arguments.seed = _number_in(arguments.input)
+    frames = [_checked(each, asked) for each in view_files.each(arguments)]
+    if arguments.dry_run:
+        _print_plan(asked, arguments, frames)
+        return 0
+    rows, shots = [], []
+    with remarks_once():
+        # All views are read before one is written.
+        started = time.perf_counter()
+        exposed = [_load_views(frame.arguments, asked, frame.eyes) for frame in frames]
+        LOG.debug("read in %.2f s", time.perf_counter() - started)
+        for frame, own in zip(frames, exposed, strict=True):
+            chosen, made = _make(asked, frame, own)
+            rows += _score_rows(frame, chosen, made)
+            if arguments.result:
+                shots += _shots(frame, chosen, made)
+    if rows:
+        print_table(SCORE_COLUMNS, rows)
+    if shots:
+        results.write(arguments, frames[0].arguments, shots)
+    return 0
+
+
+class _Frame(NamedTuple):
+    """A frame, or the one view of it that its files are of.
+
+    Attributes:
+        arguments: of the command for these files, from `view_files.each`.
+        eyes: the same for each view of the frame, from `views.each`.
+        sources: files that are read.
+        files: files that are written.
+    """
+
+    arguments: argparse.Namespace
+    eyes: list[argparse.Namespace]
+    sources: list[pathlib.Path]
+    files: list[pathlib.Path]
+
+
+def _checked(arguments: argparse.Namespace, asked: Choice) -> _Frame:
+    """Check the files of a frame before any work."""
+    from jaxblur import exr
+
     outputs.check_output(arguments.output)
     _check_neighbors(arguments, asked)
     read_files = _sources(arguments)
@@ -61,85 +102,84 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         outputs.warn_of_double_blur(eye)
     check_outputs(files, arguments.overwrite)
     mattes.warn_of_sharp(arguments, arguments.input)
-    if arguments.dry_run:
-        _print_plan(asked, arguments, dict.fromkeys(read_files), files)
-        return 0
+    return _Frame(arguments, eyes, read_files, files)
+
+
+def _make(
+    asked: Choice, frame: _Frame, exposed: list[list[Loaded]]
+) -> tuple[Choice, list[tuple[Loaded, Any]]]:
+    """Blur and write a frame; returns what was run, and each view and its blur."""
+    arguments, eyes, _, files = frame
     started = time.perf_counter()
-    exposed = _load_views(arguments, asked, eyes)
-    read = time.perf_counter()
     chosen, made = _blur_views(arguments, asked, eyes, exposed)
-    done = time.perf_counter()
+    LOG.debug("started and blurred in %.2f s", time.perf_counter() - started)
     whole, _ = views.merged(made)
     notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes))
     if arguments.subframes:
         names = ", ".join(path.name for path in _subframe_files(arguments))
         notes = {**notes, outputs.SUBFRAMES: names}
     outputs.write(eyes[0], files, notes, made)
-    LOG.debug("read in %.2f s, started and blurred in %.2f s", read - started, done - read)
     for output in files:
         print_line(f"{output}")
     report_ignored(arguments.input, whole.buffers.ignored)
-    _report_scores(arguments, chosen, eyes, made)
-    return 0
+    return chosen, made
 
 
-def _print_plan(
-    asked: Choice,
-    arguments: argparse.Namespace,
-    read_files: Iterable[pathlib.Path],
-    files: Sequence[pathlib.Path],
-) -> None:
+def _print_plan(asked: Choice, arguments: argparse.Namespace, frames: Sequence[_Frame]) -> None:
     """Print what would be read, done and written."""
     method = f"--plan {arguments.plan}"
     if not arguments.plan:
         radius = "auto" if arguments.radius == 0 else f"{asked.settings.radius} px"
         method = f"{asked.name}, {asked.settings.samples} samples, radius {radius}"
+    files = [path for frame in frames for path in frame.files]
     rows = [
-        *(("read", path) for path in read_files),
+        *(("read", path) for path in dict.fromkeys(p for frame in frames for p in frame.sources)),
         ("blur", method),
         *(("replace" if path.exists() else "write", path) for path in files),
     ]
     print_table(("action", "what"), rows)
 
 
-def _report_scores(
-    arguments: argparse.Namespace,
-    chosen: Choice,
-    eyes: list[argparse.Namespace],
-    made: list[tuple[Loaded, Any]],
-) -> None:
-    """Print the scores of each view, and leave them and the pictures as a result."""
-    shots, rows = [], []
-    for eye, (loaded, blurred) in zip(eyes, made, strict=True):
-        view = eye.layer if len(eyes) > 1 else None
-        rows += score_rows(
+def _score_rows(
+    frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]
+) -> list[tuple[str, ...]]:
+    """The rows with the scores of each view."""
+    several = len(made) > 1
+    return [
+        row
+        for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True)
+        for row in score_rows(
             {
-                in_words(view, name, chosen.name): score
+                in_words(view_files.label_of(eye, several), name, chosen.name): score
                 for name, score in scores_of(loaded, blurred).items()
             }
         )
-        if arguments.result:
-            title = " ".join(filter(None, (arguments.input.name, view)))
-            settings = results.settings_of(views.with_samples(eye, chosen))
-            picture, sources = loaded.picture(blurred), vars(arguments)
-            shots.append(results.make_shot(title, loaded, picture, chosen.name, settings, sources))
-    if rows:
-        print_table(SCORE_COLUMNS, rows)
-    if shots:
-        results.write(arguments, shots)
+    ]
+
+
+def _shots(frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]) -> list[Any]:
+    """The shot of each view for `results.write`."""
+    shots = []
+    for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True):
+        # The name of a file that has one tells the view.
+        view = eye.layer if len(made) > 1 else None
+        title = " ".join(filter(None, (eye.input.name, view)))
+        settings = results.settings_of(views.with_samples(eye, chosen))
+        picture, sources = loaded.picture(blurred), vars(eye)
+        shots.append(results.make_shot(title, loaded, picture, chosen.name, settings, sources))
+    return shots
 
 
 def _load_views(
     arguments: argparse.Namespace, asked: Choice, eyes: list[argparse.Namespace]
 ) -> list[list[Loaded]]:
     """Read the frame of each view, followed by its sub-frames."""
-    with remarks_once():
-        frames = [_load(eye, asked) for eye in eyes]
-        views.check_alike(frames, [eye.layer for eye in eyes])
-        exposed = [
-            [frame, *_load_subframes(eye, asked, frame)]
-            for eye, frame in zip(eyes, frames, strict=True)
-        ]
+    frames = [_load(eye, asked) for eye in eyes]
+    views.check_alike(frames, [eye.layer for eye in eyes])
+    exposed = [
+        [frame, *_load_subframes(eye, asked, frame)]
+        for eye, frame in zip(eyes, frames, strict=True)
+    ]
     if not any(frame.selects for frame in frames):
         raise CommandError(f"{strength.SELECTS_NOTHING} of {arguments.input}.")
     return exposed

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from . import posts
+from . import posts, view_files
 from .arguments import CommandError, channel_names, positive_integer
 from .choice import Choice
 from .disparity import CAMERAS, disparity
@@ -42,7 +42,8 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
         metavar="all|NAME[,NAME]",
         help="views to work on, each by its own depth and vectors; an .exr has the layout of the "
         "input, a .png holds one view: OUT.left.png, OUT.right.png (default: all that have color, "
-        "unless --layer or channels are given)",
+        "unless --layer or channels are given); where %%V in the names of files stands for a view, "
+        "their names (default left,right)",
     )
     if not blurs:
         return
@@ -57,9 +58,9 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
         type=disparity,
         metavar="cameras|PX[,DISTANCE]",
         help="share the noise of views left and right on the surfaces that both see: by "
-        "worldToCamera and worldToNDC in the header of each view, or by distance of the eyes times "
-        "focal length in pixels, the disparity at depth 1, and the depth at which the eyes "
-        "converge (default inf); without it each view has noise of its own",
+        "worldToCamera and worldToNDC in the part or file of each view, or by distance of "
+        "the eyes times focal length in pixels, the disparity at depth 1, and the depth at which "
+        "the eyes converge (default inf); without it each view has noise of its own",
     )
 
 
@@ -70,6 +71,13 @@ def check(arguments: argparse.Namespace) -> None:
         CommandError: they do.
     """
     if arguments.views is None:
+        return
+    if view_files.are_named(arguments):
+        if arguments.views == ALL:
+            raise CommandError(
+                f"--views all: of {arguments.input} no file lists the views; name them: --views "
+                "left,right."
+            )
         return
     for name, why in ONE_VIEW.items():
         if getattr(arguments, name, None) is not None:
@@ -104,11 +112,13 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     """The arguments for each view of a frame.
 
     Args:
-        arguments: of the command, with the frame in ``input`` and its ``seed``, a number or None.
+        arguments: of the command, or of `view_files.each`, with the frame in ``input`` and its
+            ``seed``, a number or None.
 
     Returns:
         One for each view, whose ``layer`` is the view; those of the command where the file has no
-        views, or where one layer is asked for.
+        views, or where one layer is asked for; one with noise of its own where the file is that of
+        a view, see `view_files.each`.
 
     Raises:
         JaxblurIOError: the file has no such view, or a view lacks vectors or depth.
@@ -118,7 +128,11 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
 
     info = exr.inspect(arguments.input)
     names = _chosen(arguments, info)
-    _check_others(arguments, info, names)
+    file: view_files.ViewFile | None = getattr(arguments, "view_file", None)
+    if file is not None:
+        noise = _noise_of(arguments, file.name, file.number)
+        return [argparse.Namespace(**vars(arguments) | noise)]
+    view_files.check_options_of(arguments, info.path, names)
     _check_truth(arguments, names)
     if not names:
         return [arguments]
@@ -152,6 +166,12 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
     if asked is None:
         given = (getattr(arguments, name, None) for name in ("stack", *ONE_VIEW))
         names = [] if any(given) or len(colored) < 2 else colored
+        if names and getattr(arguments, "view_file", None):
+            raise exr.JaxblurIOError(
+                info.path,
+                f"holds the views {', '.join(names)}, and {view_files.PLACE} stands for files of "
+                "one view each; leave it out of the names of files, or choose with --layer.",
+            )
     elif not colored:
         raise exr.JaxblurIOError(
             info.path, "no views with color; leave out --views, or name a layer by --layer."
@@ -187,19 +207,6 @@ def _check_truth(arguments: argparse.Namespace, names: Sequence[str]) -> None:
             found.path,
             f"truth: no view {lacking[0]!r}, and each view is compared with its own truth; give a "
             f"truth with views {', '.join(names)}, or {one}.",
-        )
-
-
-def _check_others(arguments: argparse.Namespace, info: Any, names: Sequence[str]) -> None:
-    """Reject samples and noise for views that are not blurred."""
-    there = f"the views are {', '.join(names)}" if names else "no views are blurred"
-    for name in getattr(arguments, "view_samples", None) or {}:
-        if name not in names:
-            raise CommandError(f"--view-samples: {info.path}: no view {name!r}; {there}.")
-    if getattr(arguments, "disparity", None) and (not names or {*names} - {"left", "right"}):
-        raise CommandError(
-            f"--disparity: is that of views left and right, but of {info.path} {there}; leave it "
-            "out."
         )
 
 
@@ -260,7 +267,7 @@ def with_samples(arguments: argparse.Namespace, chosen: Choice) -> Choice:
     Returns:
         The same filter with the samples of the view.
     """
-    count = (getattr(arguments, "view_samples", None) or {}).get(arguments.layer)
+    count = (getattr(arguments, "view_samples", None) or {}).get(view_files.name_of(arguments))
     if count is None:
         return chosen
     settings = dataclasses.replace(chosen.settings, samples=count)
@@ -334,11 +341,11 @@ def merged(views: Sequence[tuple[Loaded, Any]]) -> tuple[Loaded, Any]:
 
 
 def notes(views: Sequence[argparse.Namespace]) -> Mapping[str, Any]:
-    """What `jaxblur:settings` says of the views; empty for a single view."""
-    names = [each.layer for each in views]
-    if len(names) < 2:
-        return {}
+    """What `jaxblur:settings` says of the views; empty for a frame without."""
     first = views[0]
+    if len(views) < 2 and getattr(first, "view_file", None) is None:
+        return {}
+    names = [str(view_files.name_of(each)) for each in views]
     found: dict[str, Any] = {"views": ", ".join(names)}
     if first.view_samples:
         found["view_samples"] = ", ".join(f"{k}={v}" for k, v in first.view_samples.items())

@@ -47,7 +47,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "input",
         type=file_path,
-        help="frame with color, depth and vectors, or frames: name.####.exr, name.%%04d.exr",
+        help="frame with color, depth and vectors, or frames: name.####.exr, name.%%04d.exr; "
+        "name.%%V.####.exr has a file for each view",
     )
     outputs.add_output_option(parser)
     existing = parser.add_mutually_exclusive_group()

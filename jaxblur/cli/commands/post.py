@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import jaxblur
 
-from .. import posts, views
+from .. import posts, view_files, views
 from ..arguments import (
     CommandError,
     add_command,
@@ -31,7 +31,10 @@ def add_parser(commands: Any) -> None:
         commands, "post", "Defocus or antialias a picture, or a sequence of pictures.", run
     )
     parser.add_argument(
-        "input", type=file_path, help="picture, or pictures: name.####.exr, name.%%04d.exr"
+        "input",
+        type=file_path,
+        help="picture, or pictures: name.####.exr, name.%%04d.exr; name.%%V.####.exr has a file "
+        "for each view",
     )
     add_output_option(parser)
     parser.add_argument("--overwrite", action="store_true", help="replace existing outputs")
@@ -56,21 +59,22 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the posts on a picture or a sequence; see `add_parser`."""
     from jaxblur import exr
 
+    from ..sequence import with_all_frames
+
     posts.check(arguments)
     views.check(arguments)
     _check_depth(arguments)
-    check_output(arguments.output)
-    jobs = _jobs(arguments)
-    for source, depth, files in jobs:
+    jobs = [job for each in with_all_frames(view_files.each(arguments)) for job in _jobs(each)]
+    for _, source, depth, files in jobs:
         for file, output in itertools.product((source, depth), files):
             exr.refuse_overwrite(output, file)
     check_outputs([output for *_, files in jobs for output in files], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
     if len(jobs) == 1:
-        _run_one(arguments, jobs[0])
+        _run_one(jobs[0])
         return 0
     for index in track(list(range(len(jobs))), "post"):
-        _run_one(arguments, jobs[index])
+        _run_one(jobs[index])
     return 0
 
 
@@ -91,19 +95,24 @@ def _check_depth(arguments: argparse.Namespace) -> None:
 
 
 class _Job(NamedTuple):
-    """A picture, the file with its depth, and what is written: see `files_of`."""
+    """A picture, the file with its depth, and what is written: see `files_of`.
 
+    Its arguments are those of the command, or of a view that has files.
+    """
+
+    arguments: argparse.Namespace
     source: pathlib.Path
     depth: pathlib.Path
     files: list[pathlib.Path]
 
 
 def _jobs(arguments: argparse.Namespace) -> list[_Job]:
-    """The work on every frame."""
+    """The work on every frame, or on every frame of a view that has files."""
     from jaxblur.sequence import has_frame_number, parse_names
 
     from ..sequence import frames_on_disk, refuse_shell_pattern
 
+    check_output(arguments.output)
     depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
@@ -126,15 +135,15 @@ def _job(
     arguments: argparse.Namespace, source: pathlib.Path, depth: pathlib.Path, output: pathlib.Path
 ) -> _Job:
     names = views.names_of(argparse.Namespace(**vars(arguments) | {"input": source}))
-    return _Job(source, depth, files_of(arguments, output, names))
+    return _Job(arguments, source, depth, files_of(arguments, output, names))
 
 
-def _run_one(arguments: argparse.Namespace, job: _Job) -> None:
+def _run_one(job: _Job) -> None:
     import numpy as np
 
     from jaxblur import exr
 
-    source, depth, files = job
+    arguments, source, depth, files = job
     states = exr.FileStates.of([source, depth])
     eyes = views.each(argparse.Namespace(**vars(arguments) | {"input": source}))
     channels, images = [], []

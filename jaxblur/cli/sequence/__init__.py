@@ -12,5 +12,5 @@ from .options import (
     refuse_options as refuse_options,
     refuse_shell_pattern as refuse_shell_pattern,
 )
-from .plan import frames_on_disk as frames_on_disk
+from .plan import frames_on_disk as frames_on_disk, with_all_frames as with_all_frames
 from .run import blur_sequence as blur_sequence

@@ -29,7 +29,7 @@ NOT_A_CHOICE = frozenset(
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
         # A file of cameras counts by its contents.
-        *("matte_from", "camera"),
+        *("matte_from", "left_input", "camera"),
         # The quality counts by its samples.
         *("quality", "allow_resize", "argv", "isolate", "memory", "time_limit", "threads", "fps"),
         "require_motion",
@@ -74,6 +74,11 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
             f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
             "truth.####.exr."
         )
+    if arguments.result is not None and arguments.output.suffix.lower() == ".png":
+        raise CommandError(
+            f"--result: the frames of a sequence are read back from {arguments.output}, and "
+            "8 bits do not hold what was scored; write .exr, with --png for a .png beside each."
+        )
     for frame in arguments.cut:
         if frame not in frames:
             raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
@@ -114,7 +119,9 @@ def refuse(plan: Any, names: Any) -> None:
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     """The roles of all files of a frame."""
-    return (*stack.roles(arguments), "velocity_from", "depth_from", "matte_from", "truth")
+    left = ["left_input"] if "left_input" in arguments else []
+    own = ("velocity_from", "depth_from", "matte_from", "truth")
+    return (*stack.roles(arguments), *left, *own)
 
 
 def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -182,6 +189,26 @@ def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
 
 def _sha256(path: str) -> str:
     return hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()
+
+
+def with_all_frames(views: Sequence[argparse.Namespace]) -> Sequence[argparse.Namespace]:
+    """Give all views the same frames, so that one that a view lacks is reported.
+
+    Args:
+        views: arguments of each view that has files; of one, or of single frames, nothing changes.
+
+    Returns:
+        The arguments, with the frames that any of the views has, unless frames are given.
+
+    Raises:
+        CommandError: a view has none.
+    """
+    from jaxblur.sequence import has_frame_number, parse_names
+
+    if len(views) < 2 or views[0].frames or not has_frame_number(views[0].input):
+        return views
+    found = {n for each in views for n in frames_on_disk(parse_names(each.input))}
+    return [argparse.Namespace(**vars(each) | {"frames": sorted(found)}) for each in views]
 
 
 def frames_on_disk(names: Any) -> list[int]:

@@ -14,11 +14,17 @@ from ..scores import SCORE_COLUMNS, in_words, score_cells
 LOG = logging.getLogger("jaxblur")
 
 
-def record_of(job: Any) -> dict[str, Any]:
-    """The record of a frame before any work; the run fills in what became of it."""
+def record_of(job: Any, view: str | None = None) -> dict[str, Any]:
+    """The record of a frame before any work; the run fills in what became of it.
+
+    Args:
+        job: of the frame.
+        view: that its files are of, where each view has files.
+    """
     status = {"keep": "kept", "missing": "missing"}.get(job.action, "not done")
     return {
         "frame": job.frame,
+        **({} if view is None else {"view": view}),
         "action": job.action,
         "status": status,
         "reason": job.reason,
@@ -44,19 +50,24 @@ def scores_record(views: Sequence[str | None], scored: Sequence[Mapping[str, Any
     return {"scores_of_views": dict(zip(views, rows, strict=True))}
 
 
-def print_plan(plan: Any, as_json: bool) -> int:
+def print_plan(jobs: Sequence[Any], records: Sequence[Any], as_json: bool) -> int:
     """Print what would be done with each frame.
+
+    Args:
+        jobs: of the frames.
+        records: of the same, see `record_of`.
+        as_json: the records, else a table.
 
     Returns:
         0, or 1 if a frame is missing or must not be written.
     """
     if as_json:
-        print(json.dumps({"frames": [record_of(job) for job in plan.jobs]}, indent=2))
+        print(json.dumps({"frames": records}, indent=2))
     else:
-        rows = [(job.frame, job.action, job.reason, job.outputs[0]) for job in plan.jobs]
+        rows = [(job.frame, job.action, job.reason, job.outputs[0]) for job in jobs]
         print_table((">frame", "action", "why", "output"), rows)
-        print_line(counts_in(plan))
-    return FAILED if plan.with_action("missing", "refuse") else 0
+        print_line(counts_in(jobs))
+    return FAILED if any(job.action in ("missing", "refuse") for job in jobs) else 0
 
 
 def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) -> None:
@@ -68,12 +79,13 @@ def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) 
     """
     from jaxblur.sequence import find_cuts
 
-    speeds = {
-        record["frame"]: record["mean_speed"]
-        for record in records
-        if record["mean_speed"] is not None and record["action"] != "pass"
-    }
-    cuts = find_cuts(speeds)
+    speeds: dict[str | None, dict[int, float]] = {}
+    for record in records:
+        if record["mean_speed"] is not None and record["action"] != "pass":
+            speeds.setdefault(record.get("view"), {})[record["frame"]] = record["mean_speed"]
+    # The files of each view have the cuts of the shot; one of them is enough to see one.
+    found = {cut.frame: cut for of_view in speeds.values() for cut in find_cuts(of_view)}
+    cuts = [found[frame] for frame in sorted(found)]
     for cut in cuts:
         LOG.warning(
             "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f; if the "
@@ -90,9 +102,9 @@ def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) 
         print_table(("frame", *SCORE_COLUMNS), rows)
 
 
-def counts_in(plan: Any) -> str:
-    """How many frames a plan blurs, keeps and so on."""
-    return _counts(job.action for job in plan.jobs)
+def counts_in(jobs: Sequence[Any]) -> str:
+    """How many frames are to be blurred, kept and so on."""
+    return _counts(job.action for job in jobs)
 
 
 def _counts(words: Iterable[str]) -> str:
@@ -125,7 +137,7 @@ def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
 
 
 def _scores_by_view(record: Mapping[str, Any]) -> Mapping[str | None, Any]:
-    """The scores of a record by view, which is None where a frame has no views."""
+    """The scores of a record by view, which is None for a frame without views."""
     if scores := record.get("scores"):
-        return {None: scores}
+        return {record.get("view"): scores}
     return {view: each for view, each in record.get("scores_of_views", {}).items() if each}

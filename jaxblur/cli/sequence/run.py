@@ -4,10 +4,10 @@ import argparse
 import collections
 import logging
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from .. import mattes, results, strength
+from .. import mattes, results, strength, view_files
 from ..arguments import in_option_names
 from ..choice import Choice
 from ..compute import start_jax
@@ -15,7 +15,7 @@ from ..errors import FAILED, is_foreseeable, message_of
 from ..progress import about_frame, frame_messages, progress
 from . import report
 from .frame_work import FrameWork
-from .plan import make_plan, refuse
+from .plan import make_plan, refuse, with_all_frames
 
 LOG = logging.getLogger("jaxblur")
 
@@ -42,37 +42,64 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
         # A pattern that stands still over a shot looks like dirt on the lens. The number of the
         # frame alone decides, so that a frame is the same in every run and on every machine.
         arguments.seed = "frame"
-    plan, names = make_plan(arguments, asked)
+    runs = [_Run(each, asked) for each in with_all_frames(view_files.each(arguments))]
     if arguments.dry_run:
-        return report.print_plan(plan, arguments.json)
-    refuse(plan, names)
-    if todo := plan.with_action("blur"):
-        mattes.warn_of_sharp(arguments, todo[0].inputs["input"])
-    return _Run(arguments, asked, plan).run()
+        jobs = [job for run in runs for job in run.plan.jobs]
+        return report.print_plan(jobs, _records(runs), arguments.json)
+    for run in runs:
+        refuse(run.plan, run.names)
+    for run in runs:
+        if todo := run.plan.with_action("blur"):
+            mattes.warn_of_sharp(run.arguments, todo[0].inputs["input"])
+    with frame_messages():
+        for run in runs:
+            run.work()
+        report.print_outcome(arguments, _records(runs))
+        _leave_result(arguments, runs)
+    return 0 if all([run.is_done() for run in runs]) else FAILED
+
+
+def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
+    """What became of every frame."""
+    return [record for run in runs for record in run.records.values()]
+
+
+def _leave_result(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> None:
+    """Write the result folder of all frames that are there, if one is asked for."""
+    there = [(run.arguments, job) for run in runs for job in run.done_jobs()]
+    if not arguments.result or not there:
+        return
+    first, job = there[0]
+    shots = (shot for each, job in there for shot in results.shots_of_frame(each, job))
+    first = argparse.Namespace(**vars(first) | {"input": job.inputs["input"]})
+    results.write(arguments, first, shots)
 
 
 class _Run:
-    """A run over the frames of a plan, and its report."""
+    """A run over the frames of a plan, those of one view where each view has files."""
 
-    def __init__(self, arguments: argparse.Namespace, asked: Choice, plan: Any):
-        self.arguments, self.asked, self.plan = arguments, asked, plan
+    def __init__(self, arguments: argparse.Namespace, asked: Choice):
+        self.arguments, self.asked = arguments, asked
+        self.plan, self.names = make_plan(arguments, asked)
         self.selects: list[bool] = []
-        self.records = {job.frame: report.record_of(job) for job in plan.jobs}
+        self.view = view_files.label_of(arguments, several=False)
+        self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
 
-    def run(self) -> int:
-        """Run the plan and report the outcome."""
-        todo = self.plan.with_action("blur", "pass")
-        LOG.info("%d frames: %s", len(self.plan.jobs), report.counts_in(self.plan))
+    def work(self) -> None:
+        """Work on the frames that are to be blurred or passed through."""
+        whose = f"view {self.view}: " if self.view else ""
+        counts = report.counts_in(self.plan.jobs)
+        LOG.info("%s%d frames: %s", whose, len(self.plan.jobs), counts)
         for job in self.plan.with_action("missing"):
             LOG.error("frame %d: %s", job.frame, job.reason)
-        with frame_messages():
-            if todo:
-                self._work(todo)
-            report.print_outcome(self.arguments, list(self.records.values()))
-            self._leave_result()
+        if todo := self.plan.with_action("blur", "pass"):
+            self._work(todo)
+
+    def is_done(self) -> bool:
+        """Whether every frame is there, as it should be; what is wrong is reported."""
         same = self.arguments.allow_resize or not self._resized()
         done = all(record["status"] in ("written", "kept") for record in self.records.values())
-        return 0 if done and same and self._selects_something() else FAILED
+        return done and same and self._selects_something()
 
     def _selects_something(self) -> bool:
         """Whether a scale of the motion is for any pixel of any frame; if not, that is reported."""
@@ -81,7 +108,7 @@ class _Run:
         LOG.error("%s of any frame.", strength.SELECTS_NOTHING)
         return False
 
-    def _done(self) -> list[Any]:
+    def done_jobs(self) -> list[Any]:
         """The jobs whose outputs exist."""
         return [
             job
@@ -95,7 +122,7 @@ class _Run:
 
         sizes = {
             job.frame: exr.inspect(job.outputs[0]).parts[0].display_window[2:]
-            for job in self._done()
+            for job in self.done_jobs()
         }
         ((usual, _),) = collections.Counter(sizes.values()).most_common(1) or [((0, 0), 0)]
         others = {frame: size for frame, size in sizes.items() if size != usual}
@@ -106,11 +133,6 @@ class _Run:
                 *(frame, width, height, *usual),
             )
         return bool(others)
-
-    def _leave_result(self) -> None:
-        there = self._done()
-        if self.arguments.result and there:
-            results.write(self.arguments, results.shots_of_frames(self.arguments, there))
 
     def _work(self, todo: list[Any]) -> None:
         outcomes = _outcomes(self.arguments, self.asked, todo)

@@ -1,0 +1,234 @@
+"""Stereo frames with a file for each view, named by ``%V``."""
+
+import json
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import jaxblur
+from jaxblur import exr
+from jaxblur.cli.views import SEED_OF_A_VIEW
+from jaxblur.noise import make_noise
+from jaxblur.report import read_result
+from tests.command_line import refused, run
+from tests.exr_files import make_spec, plain_frame, write_parts, write_single
+
+SHAPE = (12, 16)
+VIEWS = ("left", "right")
+FEW = ("--preset", "jaxblur", "--filter", "guertin2014", "--samples", "5", "--radius", "4")
+
+
+def write_views(folder, name="in.{}.exr", views=VIEWS):
+    for number, view in enumerate(views):
+        write_single(folder / name.format(view), plain_frame(SHAPE, seed=number))
+
+
+def blurred(path, seed=None, samples=5, noise=None):
+    """A file as the library blurs it."""
+    settings = jaxblur.GuertinSettings(samples=samples, radius=4)
+    if seed is not None:
+        noise = make_noise("ign", *SHAPE, seed)
+    frame = exr.read_frame(path)
+    parameters = jaxblur.GuertinParameters()
+    return np.asarray(jaxblur.guertin2014(frame, parameters, settings=settings, noise=noise))
+
+
+def test_the_file_of_each_view_is_blurred_and_scored_against_its_own_truth(tmp_path):
+    write_views(tmp_path)
+    truth = ("--truth", tmp_path / "in.%V.exr", "--result", tmp_path / "result")
+    more = ("--view-samples", "right=3", *truth, *FEW)
+    made = run("blur", tmp_path / "in.%V.exr", "-o", tmp_path / "out.%V.exr", *more)
+    assert made.status == 0, made.err
+    lines = [line.split() for line in made.out.splitlines()]
+    assert lines[:2] == [[str(tmp_path / f"out.{view}.exr")] for view in VIEWS]
+    assert [line[:2] for line in lines[3:]] == [
+        [view, what] for view in VIEWS for what in ("input", "guertin2014")
+    ]
+    # The truth is the input, so that the sharp frame of each view is the truth of that view.
+    assert [line[2] == "inf" for line in lines[3:]] == [True, False, True, False]
+    shots = read_result(tmp_path / "result").shots
+    for (view, seed, samples), shot in zip(
+        (("left", None, 5), ("right", SEED_OF_A_VIEW, 3)), shots, strict=True
+    ):
+        written = exr.read_image(tmp_path / f"out.{view}.exr")
+        wanted = blurred(tmp_path / f"in.{view}.exr", seed, samples)
+        np.testing.assert_array_equal(written, wanted)
+        np.testing.assert_allclose(np.asarray(shot.pictures[1].image), written, atol=1e-3)
+        assert shot.name == f"in.{view}.exr"
+    settings = exr.inspect(tmp_path / "out.right.exr").parts[0].attributes["jaxblur:settings"]
+    assert 'views = "right"' in settings and f"seed = {SEED_OF_A_VIEW}" in settings
+
+
+def test_a_sequence_of_files_for_each_view(tmp_path):
+    for view in VIEWS:
+        (tmp_path / view).mkdir()
+    for number in (1, 2):
+        write_views(tmp_path, f"{{0}}/in.{number:04d}.exr")
+    names = ("blur", tmp_path / "%V/in.####.exr", "-o", tmp_path / "out.%V.####.exr", *FEW)
+    more = ("--truth", tmp_path / "%V/in.####.exr", "--result", tmp_path / "result")
+    made = run(*names, *more)
+    assert made.status == 0, made.err
+    rows = [line.split() for line in made.out.splitlines()[2:]]
+    assert made.out.splitlines()[0].endswith("out.%V.####.exr: 4 written")
+    assert "view right: 2 frames: 2 blur" in made.err
+    assert [row[:3] for row in rows] == [
+        *(["1", "left", "guertin2014"], ["2", "left", "guertin2014"]),
+        *(["1", "right", "guertin2014"], ["2", "right", "guertin2014"]),
+        *(["mean", view, what] for view in VIEWS for what in ("input", "guertin2014")),
+    ]
+    shots = read_result(tmp_path / "result").shots
+    assert [shot.name for shot in shots] == [f"frame {n} {view}" for view in VIEWS for n in (1, 2)]
+    alone = tmp_path / "alone.exr"
+    seed = ("--seed", 2 + SEED_OF_A_VIEW)
+    assert run("blur", tmp_path / "right/in.0002.exr", "-o", alone, *seed, *FEW).status == 0
+    right = exr.read_image(tmp_path / "out.right.0002.exr")
+    np.testing.assert_array_equal(right, exr.read_image(alone))
+
+    write_single(tmp_path / "left/in.0003.exr", plain_frame(SHAPE))
+    again = run(*names, "--json")
+    assert again.status == 1
+    assert "right/in.0003.exr: no such file" in again.err
+    records = json.loads(again.out)["frames"]
+    assert [(each["view"], each["frame"], each["status"]) for each in records] == [
+        *(("left", 1, "kept"), ("left", 2, "kept"), ("left", 3, "written")),
+        *(("right", 1, "kept"), ("right", 2, "kept"), ("right", 3, "missing")),
+    ]
+
+
+def test_a_view_without_a_truth_is_missing(tmp_path):
+    write_views(tmp_path, "in.{}.0001.exr")
+    write_views(tmp_path, "truth.{}.0001.exr", ("left",))
+    names = ("blur", tmp_path / "in.%V.####.exr", "-o", tmp_path / "out.%V.####.exr")
+    line = refused(*names, "--truth", tmp_path / "truth.%V.####.exr", *FEW)
+    assert "truth.right.0001.exr: no such file" in line
+    assert not list(tmp_path.glob("out*"))
+    planned = run(*names, *FEW, "--dry-run")
+    assert planned.status == 0 and "out.right.0001.exr" in planned.out
+    single = ("blur", tmp_path / "in.%V.0001.exr", "-o", tmp_path / "out.%V.exr")
+    line = refused(*single, "--truth", tmp_path / "truth.%V.0001.exr", *FEW)
+    assert "truth.right.0001.exr" in line and not list(tmp_path.glob("out*"))
+
+
+def with_camera(path, x, frame, views=()):
+    """Write a frame whose header has a camera at ``x`` that looks along -z, for all its views."""
+    height, width = SHAPE
+    to_camera = np.eye(4)
+    to_camera[0, 3] = -x
+    projection = np.diag([2 * 40 / width, 2 * 40 / height, 1, 0])
+    projection[3, 2] = -1
+    spec = make_spec(frame)
+    if views:
+        spec.attribute("multiView", oiio.TypeDesc(f"string[{len(views)}]"), views)
+    for name, matrix in (("worldToCamera", to_camera), ("worldToNDC", projection @ to_camera)):
+        spec.attribute(name, oiio.TypeDesc("matrix"), tuple(matrix.T.ravel().tolist()))
+    write_parts(path, [(spec, frame)])
+
+
+def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
+    for view, x in (("left", 1.0), ("right", 1.5)):
+        with_camera(tmp_path / f"in.{view}.0001.exr", x, plain_frame(SHAPE))
+    names = (tmp_path / "in.%V.####.exr", "-o", tmp_path / "out.%V.####.exr")
+    given = ("--disparity", "cameras", "--seed", "0", *FEW)
+    assert run("blur", *names, *given).status == 0
+    path = tmp_path / "in.right.0001.exr"
+    disparity = 40 * 0.5 / exr.read_frame(path).depth
+    noise = jaxblur.shared_noise(make_noise("ign", *SHAPE, 0), disparity)
+    right = exr.read_image(tmp_path / "out.right.0001.exr")
+    np.testing.assert_allclose(right, blurred(path, noise=noise), atol=1e-5)
+    left = exr.read_image(tmp_path / "out.left.0001.exr")
+    np.testing.assert_array_equal(left, blurred(tmp_path / "in.left.0001.exr", seed=0))
+    # The noise of the right view is made from the camera of the left one.
+    with_camera(tmp_path / "in.left.0001.exr", 1.25, plain_frame(SHAPE))
+    assert "2 written" in run("blur", *names, *given).out
+    with_camera(tmp_path / "in.left.0001.exr", 1.5, plain_frame(SHAPE))
+    single = (tmp_path / "in.%V.0001.exr", "-o", tmp_path / "new.%V.exr")
+    assert "have the same camera" in refused("blur", *single, *given)
+    write_views(tmp_path, "in.{}.0001.exr", ("left",))
+    line = refused("blur", *single, *given)
+    assert "in.left.0001.exr: no worldToCamera" in line
+    assert not list(tmp_path.glob("new*")), "both views are read before one is written"
+    frame = plain_frame(SHAPE)
+    frame |= {f"right.{name}": plane for name, plane in frame.items()}
+    with_camera(tmp_path / "both.exr", 1.0, frame, VIEWS)
+    line = refused("blur", tmp_path / "both.exr", "-o", tmp_path / "new.exr", *given)
+    assert "a part holds only one; write each view as a part" in line
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("in.%V.exr", "-o", "out.exr"), "write %V in the name of the output too"),
+        (("in.left.exr", "-o", "out.%V.exr"), "--output: out.%V.exr has %V"),
+        (
+            ("in.left.exr", "-o", "out.exr", "--truth", "in.%V.exr"),
+            "one view at a time: --views left and in.left.exr",
+        ),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--truth", "in.left.exr"),
+            "--truth: in.left.exr is one file for the views left, right",
+        ),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--velocity-from", "in.left.exr"),
+            "is blurred by its own vectors",
+        ),
+        (("in.%V.exr", "-o", "out.%V.exr", "--views", "all"), "name them: --views left,right"),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--view-samples", "middle=3"),
+            "no view 'middle'; the views are left, right",
+        ),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--views", "left", "--disparity", "nothing"),
+            "--disparity",
+        ),
+        (("in.%V.exr", "-o", "out.%V.exr", "--views", "left,top"), "in.top.exr"),
+        (("both.%V.exr", "-o", "out.%V.exr"), "holds the views left, right, and %V stands for"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(tmp_path, monkeypatch, given, words):
+    monkeypatch.chdir(tmp_path)
+    write_views(tmp_path)
+    channels = plain_frame(SHAPE)
+    channels |= {f"right.{name}": channels[name] for name in "RGB"}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), VIEWS)
+    for view in VIEWS:
+        write_parts(tmp_path / f"both.{view}.exr", [(spec, channels)])
+    assert words in refused("blur", *given, *FEW)
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_one_view_may_have_files_that_do_not_name_it(tmp_path):
+    write_views(tmp_path)
+    names = ("blur", tmp_path / "in.%V.exr", "-o", tmp_path / "out.%V.exr")
+    made = run(*names, "--views", "right", "--truth", tmp_path / "in.right.exr", *FEW)
+    assert made.status == 0 and "right guertin2014" in made.out
+    assert [path.name for path in tmp_path.glob("out*")] == ["out.right.exr"]
+
+
+def test_post_takes_the_file_of_each_view(tmp_path):
+    for number in (1, 2):
+        write_views(tmp_path, f"in.{{}}.{number}.exr")
+    names = (tmp_path / "in.%V.%d.exr", "-o", tmp_path / "out.%V.%d.exr")
+    assert run("post", *names, "--do", "fxaa").status == 0
+    for view in VIEWS:
+        sharp = exr.read_image(tmp_path / f"in.{view}.2.exr")
+        wanted = jaxblur.posts.fxaa(sharp)
+        made = exr.read_image(tmp_path / f"out.{view}.2.exr")
+        np.testing.assert_allclose(made, wanted, atol=1e-6)
+        assert np.abs(made - sharp).max() > 0
+
+
+def test_layers_have_a_file_for_each_view(tmp_path):
+    for number, view in enumerate(VIEWS):
+        frame = plain_frame(SHAPE, seed=number)
+        for name in ("front", "back"):
+            write_single(tmp_path / f"{name}.{view}.exr", frame | {"A": np.ones_like(frame["Z"])})
+    layers = (tmp_path / "front.%V.exr", tmp_path / "back.%V.exr")
+    planned = run("layers", *layers, "-o", tmp_path / "out.%V.exr", "--dry-run")
+    assert planned.status == 0, planned.err
+    rows = [line.split() for line in planned.out.splitlines()[1:]]
+    read = [str(tmp_path / f"{name}.{view}.exr") for view in VIEWS for name in ("front", "back")]
+    assert [row[1] for row in rows if row[0] == "read"] == read
+    written = [str(tmp_path / f"out.{view}.exr") for view in VIEWS]
+    assert [row[1] for row in rows if row[0] == "write"] == written
