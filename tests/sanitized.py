@@ -14,11 +14,16 @@ import numpy as np
 
 import jaxblur
 from jaxblur.kernels import Image, Outcome, each_pixel, sum_over
+from jaxblur.settings import Fetch
 from tests.test_kernels_operations import Planes
 from tests.test_native import make_frame, parameters_of, runs
 
 # One more than the lanes of a vector; and one pixel, of which a bilinear read finds no neighbor.
-SIZES = {"nearest": [(5, 17)], "bilinear": [(1, 1), (5, 17)]}
+CASES: dict[str, tuple[Fetch, list[tuple[int, int]]]] = {
+    "guertin2014": ("nearest", [(5, 17)]),
+    "layered": ("bilinear", [(1, 1), (5, 17)]),
+}
+"""How each filter reads, and the sizes; the others read, mark and add as these do, and less."""
 
 
 def with_endless_motion(frame: jaxblur.Frame) -> jaxblur.Frame:
@@ -28,22 +33,22 @@ def with_endless_motion(frame: jaxblur.Frame) -> jaxblur.Frame:
 
 
 def run_filter(name: str) -> None:
-    """Values and derivatives by every input, with both fetches; values where motion is endless."""
+    """Values and derivatives by every input; values where motion is endless."""
+    fetch, sizes = CASES[name]
     parameters = jax.tree.map(jnp.float32, parameters_of(name))
-    for fetch, sizes in SIZES.items():
-        by_native, _ = runs(name, fetch=fetch)
+    by_native, _ = runs(name, fetch=fetch)
 
-        @jax.jit
-        @jax.value_and_grad
-        def loss(inputs, by_native=by_native):
-            return jnp.sum(by_native(*inputs) ** 2)
+    @jax.jit
+    @jax.value_and_grad
+    def loss(inputs):
+        return jnp.sum(by_native(*inputs) ** 2)
 
-        for size in sizes:
-            value, _ = loss((make_frame(size), parameters))
-            assert np.isfinite(value), (name, fetch, size)
-            print(name, fetch, size)
-        # There derivatives are of no use, and places beyond 2^31 pixels have no neighbors.
-        jax.jit(by_native)(with_endless_motion(make_frame(SIZES[fetch][-1])), parameters)
+    for size in sizes:
+        value, _ = loss((make_frame(size), parameters))
+        assert np.isfinite(value), (name, size)
+        print(name, size)
+    # There derivatives are of no use, and places beyond 2^31 pixels have no neighbors.
+    jax.jit(by_native)(with_endless_motion(make_frame(sizes[-1])), parameters)
 
 
 def run_neighbors() -> None:
@@ -80,7 +85,7 @@ def run_small(places: int, factor: int) -> None:
 SMALL = {"read-past-the-end": (1, 1), "overflow": (0, 2**30), "nothing": (0, 1)}
 
 if __name__ == "__main__":
-    if sys.argv[1] in jaxblur.FILTERS:
+    if sys.argv[1] in CASES:
         run_filter(sys.argv[1])
     elif sys.argv[1] == "neighbors":
         run_neighbors()
