@@ -94,7 +94,16 @@ def to_half_spread(
     previous, following = displacements.previous, displacements.next
     half = np.float32(shutter / 2)
     if previous is not None and following is not None:
-        return half * (following - previous) / 2, _arc(previous, following, shutter / 2)
+        shape, kind = previous.shape, np.result_type(previous, following, np.float32)
+        velocity, path = np.empty(shape, kind), np.empty((*shape[:-1], 2, 2), kind)
+        images = previous.reshape(-1, 2), following.reshape(-1, 2), velocity.reshape(-1, 2)
+        # Blocks of pixels stay in the processor's cache, which takes half of the time.
+        for begin in range(0, images[0].shape[0], PIXELS_AT_ONCE):
+            block = slice(begin, begin + PIXELS_AT_ONCE)
+            first, last, mean = (image[block] for image in images)
+            mean[...] = half * (last - first) / 2
+            path.reshape(-1, 2, 2)[block] = _arc(first, last, shutter / 2)
+        return velocity, path
     if following is not None:
         return half * following, None
     if previous is not None:
@@ -104,6 +113,7 @@ def to_half_spread(
 
 _WIDEST = 2 / 3 * np.pi
 """Radians per frame. For a larger angle the direction of the rotation is ambiguous."""
+PIXELS_AT_ONCE = 8192
 
 
 def _arc(
@@ -154,12 +164,13 @@ def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute the factors for chord and sagitta of an arc when the angle shrinks by ``half``."""
-    curved = angle > 1e-3
     # Below 1e-3 the parabola is equal in float32, and there is no division by zero.
-    angle = np.where(curved, np.minimum(angle, np.float32(_WIDEST)), 1)
-    tangent = np.where(curved, np.sin(half * angle) / np.sin(angle), half)
-    bend = np.where(curved, (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2, half**2)
-    return tangent.astype(np.float32), bend.astype(np.float32)
+    curved = angle > 1e-3
+    tangent, bend = (np.full(angle.shape, scale, np.float32) for scale in (half, half**2))
+    angle = np.minimum(angle[curved], np.float32(_WIDEST))
+    tangent[curved] = np.sin(half * angle) / np.sin(angle)
+    bend[curved] = (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2
+    return tangent, bend
 
 
 def check_shutter(shutter: float, argument: str) -> None:
