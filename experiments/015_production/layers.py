@@ -6,9 +6,10 @@ Scenes of the catalogue are rendered whole, and as layers: with some of their th
 without. ``layers.csv`` and ``layers.md`` have PSNR in dB of display values against the truth, of
 the whole picture and of the part that nothing can enter over the border. The ceiling is that of
 `experiments.012_layered.remainder`: at each of 33 times the point that is visible has the color
-that the sharp frame has there, or its true color if the frame does not show it. ``deep.csv`` and
-``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into 2. With
-``--reference-data``, the folder of BlurBench, also ``rendered.csv``, ``rendered.md`` and
+that the sharp frame has there, or its true color if the frame does not show it. ``given.csv`` and
+``given.md`` have the same for pixels whose visible points are in one of two layers at all times.
+``deep.csv`` and ``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into
+2. With ``--reference-data``, the folder of BlurBench, also ``rendered.csv``, ``rendered.md`` and
 ``layers.png``; the commands are printed. ``--quick`` takes the first scene only. Nothing is random.
 """
 
@@ -26,7 +27,7 @@ import OpenImageIO as oiio
 
 import jaxblur
 from experiments import common, pictures
-from jaxblur import cli, exr, scenes
+from jaxblur import cli, exr, metrics, scenes
 
 remainder = importlib.import_module("experiments.012_layered.remainder")
 
@@ -96,8 +97,32 @@ def decibel(image: Any, truth: Any, margin: int = 0) -> float:
     return remainder.decibel(remainder.mse(np.asarray(image)[inner], np.asarray(truth)[inner]))
 
 
-def catalogue_row(name: str) -> list[Any]:
-    """PSNR of a scene: the flat frame, layers, the ceiling; of all of it, and without margins."""
+def squared(image: Any, truth: Any) -> np.ndarray:
+    """Squared error of display values of each pixel, (H, W)."""
+    shown = [np.asarray(metrics.display(np.asarray(each)[..., :3])) for each in (image, truth)]
+    return np.mean((shown[0] - shown[1]) ** 2, axis=-1)
+
+
+def given(name: str, scene: scenes.Scene, truth: Any) -> np.ndarray:
+    """Where the point that is visible is in one of two layers at all times: (H, W)."""
+    first = FRONT[name][0]
+    rest = [thing for thing in scene.object_names if thing not in first]
+    shown = []
+    for things in (first, rest):
+        part = with_things(scene, things, 0.0)
+        frame = scenes.render(part, 0.0, SHUTTER, SIZE)
+        shown.append(np.isfinite(remainder.points_in_frame(part, frame, truth)).all(axis=-1))
+    front = [number for number, thing in enumerate(scene.object_names) if thing in first]
+    seen = [np.asarray(scenes.object_ids(scene, time, SIZE)) for time in truth.times.tolist()]
+    return np.where(np.isin(np.stack(seen), front), *shown).all(axis=0)
+
+
+def catalogue_rows(name: str) -> tuple[list[Any], list[Any]]:
+    """PSNR of a scene: the flat frame, layers, the ceiling; and where all is in the two layers.
+
+    Returns:
+        The row of the table of all pixels, with and without margins, and that of ``given``.
+    """
     scene = scenes.SCENES[name]()
     frame = scenes.render(scene, 0.0, SHUTTER, SIZE)
     truth = scenes.accumulate(scene, 0.0, SHUTTER, remainder.TRUTH_SAMPLES, SIZE)
@@ -112,7 +137,15 @@ def catalogue_row(name: str) -> list[Any]:
     jax.clear_caches()
     row = [decibel(image, truth) for image in images]
     inner = [decibel(image, truth, margin) for image in images]
-    return [name, *row, margin, *inner, inner[-1] - inner[1]]
+    inside = np.s_[margin : -margin or None, margin : -margin or None]
+    two, best = (squared(image, truth)[inside] for image in (images[1], ceiling))
+    there = given(name, scene, known)[inside]
+    share = np.sum((two - best)[there]) / np.sum(two - best)
+    errors = [remainder.decibel(error[there].mean()) for error in (two, best)]
+    return (
+        [name, *row, margin, *inner, inner[-1] - inner[1]],
+        [name, there.mean(), *errors, errors[1] - errors[0], share],
+    )
 
 
 def deep_rows(folder: Path) -> list[list[Any]]:
@@ -221,13 +254,17 @@ def main() -> None:
         *(f"{part}, inside" for part in parts),
         "lacking",
     ]
-    rows: list[list[Any]] = []
+    tables: tuple[list[list[Any]], ...] = ([], [])
     for name in names:
-        rows.append(catalogue_row(name))
-        print(*rows[-1], flush=True)
-    if len(rows) > 1:
-        rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
-    common.write_table(folder, "layers", columns, rows)
+        for rows, row in zip(tables, catalogue_rows(name), strict=True):
+            rows.append(row)
+            print(*row, flush=True)
+    if len(names) > 1:
+        for rows in tables:
+            rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
+    common.write_table(folder, "layers", columns, tables[0])
+    columns = ["scene", "share of pixels", "two layers", "ceiling", "lacking", "share of the loss"]
+    common.write_table(folder, "given", columns, tables[1])
 
 
 if __name__ == "__main__":

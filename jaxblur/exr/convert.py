@@ -146,7 +146,7 @@ def half_spread(
                 raise JaxblurIOError(info.path, str(error)) from error
             mean, ends = vectors.to_half_spread(displacements, shutter)
         velocity[block] = _stopped(mean, still[block])
-        if curve is not None:
+        if curve is not None and ends is not None:
             curve[block] = _stopped(ends, still[block])
     return velocity, curve
 
