@@ -6,8 +6,9 @@ Scenes of the catalogue are rendered whole, and as layers: with some of their th
 without. ``layers.csv`` and ``layers.md`` have PSNR in dB of display values against the truth, of
 the whole picture and of the part that nothing can enter over the border. The ceiling is that of
 `experiments.012_layered.remainder`: at each of 33 times the point that is visible has the color
-that the sharp frame has there, or its true color if the frame does not show it. ``given.csv`` and
-``given.md`` have the same for pixels whose visible points are in one of two layers at all times.
+that the sharp frame has there, or its true color if the frame does not show it. ``loss.csv`` and
+``loss.md`` have the shares of what two layers lack to it: by how much of the exposure the front
+layer is there, and of pixels whose visible points are all given, in one of two layers at all times.
 ``deep.csv`` and ``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into
 2. With ``--reference-data``, the folder of BlurBench, also ``rendered.csv``, ``rendered.md`` and
 ``layers.png``; the commands are printed. ``--quick`` takes the first scene only. Nothing is random.
@@ -118,10 +119,10 @@ def given(name: str, scene: scenes.Scene, truth: Any) -> np.ndarray:
 
 
 def catalogue_rows(name: str) -> tuple[list[Any], list[Any]]:
-    """PSNR of a scene: the flat frame, layers, the ceiling; and where all is in the two layers.
+    """PSNR of a scene: the flat frame, layers, the ceiling; and where the loss is.
 
     Returns:
-        The row of the table of all pixels, with and without margins, and that of ``given``.
+        The row of ``layers``, with and without margins, and that of ``loss``.
     """
     scene = scenes.SCENES[name]()
     frame = scenes.render(scene, 0.0, SHUTTER, SIZE)
@@ -131,7 +132,9 @@ def catalogue_rows(name: str) -> tuple[list[Any], list[Any]]:
     ceiling = np.where(np.isfinite(points), points, known.stack).mean(axis=0)
     many = dataclasses.replace(remainder.SETTINGS, samples=MANY)
     images = [jaxblur.layered(frame, remainder.PARAMETERS, settings=many)]
-    layers = [jaxblur.blur_layers(stack, settings=many) for stack in stacks(name, scene)]
+    found = stacks(name, scene)
+    layers = [jaxblur.blur_layers(stack, settings=many) for stack in found]
+    cover = np.asarray(jaxblur.blur_layers(found[0][:1], settings=many))[..., -1]
     images += [*layers, *layers[-1:] * (2 - len(layers)), ceiling]
     margin = int(np.ceil(float(jnp.abs(frame.velocity).max())))
     jax.clear_caches()
@@ -140,11 +143,13 @@ def catalogue_rows(name: str) -> tuple[list[Any], list[Any]]:
     inside = np.s_[margin : -margin or None, margin : -margin or None]
     two, best = (squared(image, truth)[inside] for image in (images[1], ceiling))
     there = given(name, scene, known)[inside]
-    share = np.sum((two - best)[there]) / np.sum(two - best)
+    never, always = cover[inside] < 1e-3, cover[inside] > 1 - 1e-3
+    regions = never, always, ~(never | always), there
+    shares = [np.sum((two - best)[region]) / np.sum(two - best) for region in regions]
     errors = [remainder.decibel(error[there].mean()) for error in (two, best)]
     return (
         [name, *row, margin, *inner, inner[-1] - inner[1]],
-        [name, there.mean(), *errors, errors[1] - errors[0], share],
+        [name, *shares, there.mean(), *errors, errors[1] - errors[0]],
     )
 
 
@@ -263,8 +268,10 @@ def main() -> None:
         for rows in tables:
             rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
     common.write_table(folder, "layers", columns, tables[0])
-    columns = ["scene", "share of pixels", "two layers", "ceiling", "lacking", "share of the loss"]
-    common.write_table(folder, "given", columns, tables[1])
+    regions = "front never there", "front always there", "front there at times", "all given"
+    columns = ["scene", *(f"loss, {region}" for region in regions), "pixels, all given"]
+    columns += [f"{image}, all given" for image in ("two layers", "ceiling")]
+    common.write_table(folder, "loss", [*columns, "lacking, all given"], tables[1])
 
 
 if __name__ == "__main__":
