@@ -62,11 +62,11 @@ def test_jax_is_started_once_for_all_frames(shot, monkeypatch):
     for module in (frame_work, sequence_run):
         monkeypatch.setattr(module, "start_jax", lambda keep: (starts.append(keep), start(keep)))
     assert run(*shot[1]).status == 0
-    assert starts == [True]
+    assert starts == [False]
     frame_work._start_worker.cache_clear()
     for _ in FRAMES:
-        frame_work._start_worker(True, None)
-    assert starts == [True] * 2
+        frame_work._start_worker(False, None)
+    assert starts == [False] * 2
 
 
 def test_a_sequence_is_its_frames_blurred_one_by_one(shot):
