@@ -253,7 +253,6 @@ def main() -> None:
     parts = ("flat", "two layers", "three layers", "ceiling")
     columns = [
         "scene",
-        "at rest",
         *parts,
         "margin, px",
         *(f"{part}, inside" for part in parts),
