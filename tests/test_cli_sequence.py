@@ -15,7 +15,7 @@ import pytest
 
 from jaxblur import exr
 from jaxblur.cli import blurring
-from jaxblur.cli.sequence import run as sequence_run
+from jaxblur.cli.sequence import frame_work, run as sequence_run
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
 
@@ -54,6 +54,19 @@ def with_channel(path, frame, change):
         channels[f"velocity.{axis}"] *= 8
     change(channels)
     write_single(path / f"in.{frame}.exr", channels)
+
+
+def test_jax_is_started_once_for_all_frames(shot, monkeypatch):
+    """Each start looks through the cache of compiled code, which takes longer than a small blur."""
+    starts, start = [], frame_work.start_jax
+    for module in (frame_work, sequence_run):
+        monkeypatch.setattr(module, "start_jax", lambda keep: (starts.append(keep), start(keep)))
+    assert run(*shot[1]).status == 0
+    assert starts == [False]
+    frame_work._start_worker.cache_clear()
+    for _ in FRAMES:
+        frame_work._start_worker(False, None)
+    assert starts == [False] * 2
 
 
 def test_a_sequence_is_its_frames_blurred_one_by_one(shot):

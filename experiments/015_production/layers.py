@@ -6,9 +6,11 @@ Scenes of the catalogue are rendered whole, and as layers: with some of their th
 without. ``layers.csv`` and ``layers.md`` have PSNR in dB of display values against the truth, of
 the whole picture and of the part that nothing can enter over the border. The ceiling is that of
 `experiments.012_layered.remainder`: at each of 33 times the point that is visible has the color
-that the sharp frame has there, or its true color if the frame does not show it. ``deep.csv`` and
-``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into 2. With
-``--reference-data``, the folder of BlurBench, also ``rendered.csv``, ``rendered.md`` and
+that the sharp frame has there, or its true color if the frame does not show it. ``loss.csv`` and
+``loss.md`` have the shares of what two layers lack to it: by how much of the exposure the front
+layer is there, and of pixels whose visible points are all given, in one of two layers at all times.
+``deep.csv`` and ``deep.md``: two translucent discs in a deep file, flattened into 1 layer and into
+2. With ``--reference-data``, the folder of BlurBench, also ``rendered.csv``, ``rendered.md`` and
 ``layers.png``; the commands are printed. ``--quick`` takes the first scene only. Nothing is random.
 """
 
@@ -26,7 +28,7 @@ import OpenImageIO as oiio
 
 import jaxblur
 from experiments import common, pictures
-from jaxblur import cli, exr, scenes
+from jaxblur import cli, exr, metrics, scenes
 
 remainder = importlib.import_module("experiments.012_layered.remainder")
 
@@ -96,8 +98,32 @@ def decibel(image: Any, truth: Any, margin: int = 0) -> float:
     return remainder.decibel(remainder.mse(np.asarray(image)[inner], np.asarray(truth)[inner]))
 
 
-def catalogue_row(name: str) -> list[Any]:
-    """PSNR of a scene: the flat frame, layers, the ceiling; of all of it, and without margins."""
+def squared(image: Any, truth: Any) -> np.ndarray:
+    """Squared error of display values of each pixel, (H, W)."""
+    shown = [np.asarray(metrics.display(np.asarray(each)[..., :3])) for each in (image, truth)]
+    return np.mean((shown[0] - shown[1]) ** 2, axis=-1)
+
+
+def given(name: str, scene: scenes.Scene, truth: Any) -> np.ndarray:
+    """Where the point that is visible is in one of two layers at all times: (H, W)."""
+    first = FRONT[name][0]
+    rest = [thing for thing in scene.object_names if thing not in first]
+    shown = []
+    for things in (first, rest):
+        part = with_things(scene, things, 0.0)
+        frame = scenes.render(part, 0.0, SHUTTER, SIZE)
+        shown.append(np.isfinite(remainder.points_in_frame(part, frame, truth)).all(axis=-1))
+    front = [number for number, thing in enumerate(scene.object_names) if thing in first]
+    seen = [np.asarray(scenes.object_ids(scene, time, SIZE)) for time in truth.times.tolist()]
+    return np.where(np.isin(np.stack(seen), front), *shown).all(axis=0)
+
+
+def catalogue_rows(name: str) -> tuple[list[Any], list[Any]]:
+    """PSNR of a scene: the flat frame, layers, the ceiling; and where the loss is.
+
+    Returns:
+        The row of ``layers``, with and without margins, and that of ``loss``.
+    """
     scene = scenes.SCENES[name]()
     frame = scenes.render(scene, 0.0, SHUTTER, SIZE)
     truth = scenes.accumulate(scene, 0.0, SHUTTER, remainder.TRUTH_SAMPLES, SIZE)
@@ -106,13 +132,25 @@ def catalogue_row(name: str) -> list[Any]:
     ceiling = np.where(np.isfinite(points), points, known.stack).mean(axis=0)
     many = dataclasses.replace(remainder.SETTINGS, samples=MANY)
     images = [jaxblur.layered(frame, remainder.PARAMETERS, settings=many)]
-    layers = [jaxblur.blur_layers(stack, settings=many) for stack in stacks(name, scene)]
+    found = stacks(name, scene)
+    layers = [jaxblur.blur_layers(stack, settings=many) for stack in found]
+    cover = np.asarray(jaxblur.blur_layers(found[0][:1], settings=many))[..., -1]
     images += [*layers, *layers[-1:] * (2 - len(layers)), ceiling]
     margin = int(np.ceil(float(jnp.abs(frame.velocity).max())))
     jax.clear_caches()
     row = [decibel(image, truth) for image in images]
     inner = [decibel(image, truth, margin) for image in images]
-    return [name, *row, margin, *inner, inner[-1] - inner[1]]
+    inside = np.s_[margin : -margin or None, margin : -margin or None]
+    two, best = (squared(image, truth)[inside] for image in (images[1], ceiling))
+    there = given(name, scene, known)[inside]
+    never, always = cover[inside] < 1e-3, cover[inside] > 1 - 1e-3
+    regions = never, always, ~(never | always), there
+    shares = [np.sum((two - best)[region]) / np.sum(two - best) for region in regions]
+    errors = [remainder.decibel(error[there].mean()) for error in (two, best)]
+    return (
+        [name, *row, margin, *inner, inner[-1] - inner[1]],
+        [name, *shares, there.mean(), *errors, errors[1] - errors[0]],
+    )
 
 
 def deep_rows(folder: Path) -> list[list[Any]]:
@@ -215,19 +253,24 @@ def main() -> None:
     parts = ("flat", "two layers", "three layers", "ceiling")
     columns = [
         "scene",
-        "at rest",
         *parts,
         "margin, px",
         *(f"{part}, inside" for part in parts),
         "lacking",
     ]
-    rows: list[list[Any]] = []
+    tables: tuple[list[list[Any]], ...] = ([], [])
     for name in names:
-        rows.append(catalogue_row(name))
-        print(*rows[-1], flush=True)
-    if len(rows) > 1:
-        rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
-    common.write_table(folder, "layers", columns, rows)
+        for rows, row in zip(tables, catalogue_rows(name), strict=True):
+            rows.append(row)
+            print(*row, flush=True)
+    if len(names) > 1:
+        for rows in tables:
+            rows.append(["mean", *np.mean([row[1:] for row in rows], axis=0).tolist()])
+    common.write_table(folder, "layers", columns, tables[0])
+    regions = "front never there", "front always there", "front there at times", "all given"
+    columns = ["scene", *(f"loss, {region}" for region in regions), "pixels, all given"]
+    columns += [f"{image}, all given" for image in ("two layers", "ceiling")]
+    common.write_table(folder, "loss", [*columns, "lacking, all given"], tables[1])
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@
 Five scenes of the catalogue at 320x180, 64 samples of truth, exposure half a frame. Writes
 ``shutters.csv`` and ``shutters.md``: PSNR in dB of display values, of ``layered`` with the shutter
 and of ``guertin2014`` with the box that is all it can do; ``one_sided.csv`` and ``one_sided.md``:
-what vectors to the previous frame alone cost, and what exposing where they hold gains back; and
-``shutters.png``. Takes three minutes on two cores.
+what vectors to the previous frame alone cost, and what exposing where they hold gains back;
+``kernels.csv`` and ``kernels.md``: how near the blur of a lone line comes to a box and to a
+trapezoid; and ``shutters.png``. Takes three minutes on two cores.
 """
 
 import functools
@@ -107,6 +108,41 @@ def one_sided() -> list[list[Any]]:
     return [*rows, ["mean", *np.mean([row[1:] for row in rows], axis=0)]]
 
 
+def kernels() -> list[list[Any]]:
+    """How near each filter's blur of a lone line in a uniform pan comes to a box and a trapezoid.
+
+    The distance is that of the amplitudes of the spectra, weighted by 1 / frequency^2, which is
+    the spectrum of pictures.
+    """
+    height, width, trapezoid = 90, 240, Shutter.trapezoid()
+    rows = []
+    for speed in (5.0, 10.0, 20.0):
+        color = np.zeros((height, width, 1), np.float32)
+        color[:, width // 2] = 1
+        velocity = np.zeros((height, width, 2), np.float32)
+        velocity[..., 0] = speed
+        frame = jaxblur.Frame(color, np.ones((height, width), np.float32), velocity)
+        time = (np.arange(width) - width // 2) / speed
+        shapes = [np.where(np.abs(time) <= 1, 1.0, 0.0), np.clip(2 - 2 * np.abs(time), 0, 1)]
+        images = {
+            "guertin2014": jaxblur.guertin2014(frame, jaxblur.GuertinParameters()),
+            "layered, box": blurred(frame),
+            "layered, trapezoid": blurred(frame, trapezoid),
+        }
+        for name, image in images.items():
+            line = np.asarray(image)[20:-20, :, 0].mean(axis=0)
+            deviation = float(np.sqrt(np.sum(line * time**2) / np.sum(line)))
+            rows.append([name, speed, deviation, *(_apart(line, shape) for shape in shapes)])
+    return rows
+
+
+def _apart(first: np.ndarray, second: np.ndarray) -> float:
+    """The distance of `kernels`."""
+    one, other = (np.abs(np.fft.rfft(line / line.sum()))[1:] for line in (first, second))
+    weight = 1.0 / np.arange(1, len(one) + 1) ** 2
+    return float(np.sqrt(np.sum(weight * (one - other) ** 2) / np.sum(weight)))
+
+
 def main() -> None:
     """Measure, and write tables and the picture."""
     folder = common.output_parser("Blur under other shutters than a centered box.").parse_args()
@@ -118,6 +154,8 @@ def main() -> None:
         for sides in ("two-sided", "one-sided")
     ]
     common.write_table(folder.output, "one_sided", columns, one_sided())
+    columns = ["filter", "half-spread, px", "standard deviation", "from a box", "from a trapezoid"]
+    common.write_table(folder.output, "kernels", columns, kernels())
     sheet = [
         [blurred(frame_of(name), exposure), truth_of(name, **options)]
         for label, name in (("rolling, 1/2 frame", "crossing"), ("double exposure", "gears"))

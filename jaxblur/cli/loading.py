@@ -147,7 +147,7 @@ def read(arguments: argparse.Namespace) -> Source:
         layers, motion, selects = layer_reading.read(arguments)
         picture = stack.composite(layers)
         return Source(arguments.input, picture, states, motion, selects=selects, layers=layers)
-    buffers, motion, selects = strength.apply(arguments, sources.read(arguments))
+    buffers, motion, selects = strength.apply(arguments, sources.read(arguments, keep_decoded=True))
     ranks = ()
     if getattr(arguments, "cryptomatte", None):
         group = exr.ColorGroup("", buffers.color_channels, None)

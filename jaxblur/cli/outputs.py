@@ -184,6 +184,7 @@ def _write_exr(
         nonfinite="zero" if arguments.nonfinite == "ignore" else "keep",
         unchanged=unchanged,
         changes=loaded.changes,
+        decoded=loaded.buffers.decoded,
     )
 
 

@@ -144,11 +144,12 @@ def passes_of(arguments: argparse.Namespace) -> Any:
     return "all" if getattr(arguments, "all_color", False) else getattr(arguments, "also", ())
 
 
-def read(arguments: argparse.Namespace) -> Any:
+def read(arguments: argparse.Namespace, keep_decoded: bool = False) -> Any:
     """Read the frame that the arguments name, and log how it was read.
 
     Args:
         arguments: with ``input`` and the options of `add_source_options` and of the vectors.
+        keep_decoded: as `jaxblur.exr.read_buffers`, for a frame that is written again.
 
     Returns:
         Buffers as `jaxblur.exr.read_buffers` gives them, the sky turned with the camera if asked.
@@ -173,6 +174,7 @@ def read(arguments: argparse.Namespace) -> Any:
         depth_channel=arguments.depth_channel,
         nonfinite=arguments.nonfinite,
         also=passes_of(arguments),
+        keep_decoded=keep_decoded,
     )
     LOG.info("color: %s", ", ".join(buffers.color_channels))
     if buffers.pass_channels:

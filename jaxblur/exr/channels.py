@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ def read_channels(path: PathLike, names: Sequence[str]) -> Float[np.ndarray, "he
 
 def read_together(
     requests: Sequence[tuple[FileInfo, Sequence[str]]],
-) -> list[Float[np.ndarray, "height width names"]]:
+) -> tuple[list[Float[np.ndarray, "height width names"]], np.ndarray | None]:
     """Read several groups of channels, of one file or of several, each part once.
 
     Compressed pixels hold all channels of some rows, so that one read of a part takes as long as
@@ -60,40 +60,60 @@ def read_together(
         requests: listing of a file and full names, for each group.
 
     Returns:
-        For each group (H, W, number of names) float32, as `read_channels` gives it.
+        For each group (H, W, number of names) float32, as `read_channels` gives it. And (H, W,
+        number of channels) float32 the whole part in which the first group lies, if all of it was
+        read, and more than that group; else None. Nothing else shares its memory.
 
     Raises:
         JaxblurIOError: as by `read_channels`.
     """
     results: dict[int, np.ndarray] = {}
+    whole = None
     for path in dict.fromkeys(info.path for info, _ in requests):
         own = [index for index, (info, _) in enumerate(requests) if info.path == path]
         info = requests[own[0]][0]
         groups = {index: [info.channel(name) for name in requests[index][1]] for index in own}
         with open_input(path) as source:
-            read: dict[int, tuple[int, np.ndarray]] = {}
+            read = {}
             for part in sorted({c.part for channels in groups.values() for c in channels}):
-                used = {c.index for channels in groups.values() for c in channels if c.part == part}
-                begin, end = min(used), max(used) + 1
-                # Wide gaps would take more memory than the time is worth.
-                if end - begin <= 2 * len(used):
-                    read[part] = begin, read_span(source, info, part, begin, end, "float")
-            for index, channels in groups.items():
-                _common_window(info, channels)
-                if all(channel.part in read for channel in channels):
-                    results[index] = _gathered(read, channels)
-                else:
-                    results[index] = read_named(source, info, requests[index][1])
-    return [results[index] for index in range(len(requests))]
+                used = {c for channels in groups.values() for c in channels if c.part == part}
+                read[part] = _read_part(source, info, sorted(used, key=lambda c: c.index))
+        for index, channels in groups.items():
+            _common_window(info, channels)
+            results[index] = _gathered(read, channels)
+        if 0 in groups:
+            first = groups[0][0].part
+            more = len(info.parts[first].channels) > len(groups[0])
+            if more and len(read[first].indices) == len(info.parts[first].channels):
+                whole = read[first].pixels
+    return [results[index] for index in range(len(requests))], whole
 
 
-def _gathered(read: Mapping[int, tuple[int, np.ndarray]], channels: Sequence[Channel]) -> Any:
-    """Channels out of pixels of parts, each with the number of its first channel."""
-    (begin, pixels), first = read[channels[0].part], channels[0].index
-    places = [(channel.part, channel.index) for channel in channels]
-    if places == [(channels[0].part, first + k) for k in range(len(channels))]:
-        return np.ascontiguousarray(pixels[..., first - begin : first - begin + len(channels)])
-    planes = [read[c.part][1][..., c.index - read[c.part][0]] for c in channels]
+class _Read(NamedTuple):
+    """Channels of a part.
+
+    Attributes:
+        indices: their numbers, in order.
+        pixels: (H, W, number of channels) float32.
+    """
+
+    indices: Sequence[int]
+    pixels: np.ndarray
+
+
+def _read_part(source: Any, info: FileInfo, channels: Sequence[Channel]) -> _Read:
+    """Read channels of one part, in their order, decoding it once."""
+    part, begin, end = channels[0].part, channels[0].index, channels[-1].index + 1
+    if end - begin <= 2 * len(channels):
+        return _Read(range(begin, end), read_span(source, info, part, begin, end, "float"))
+    # Wide gaps would take much memory.
+    pixels = np.concatenate(list(read_blocks(source, info, channels)))
+    return _Read([channel.index for channel in channels], pixels)
+
+
+def _gathered(read: Mapping[int, _Read], channels: Sequence[Channel]) -> np.ndarray:
+    """Channels out of those of parts, in memory of their own."""
+    planes = [read[c.part].pixels[..., read[c.part].indices.index(c.index)] for c in channels]
     return np.stack(planes, axis=-1)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import functools
 from collections.abc import Mapping, Sequence
 
 from jaxblur import vectors
@@ -405,6 +406,7 @@ def _color_groups(names: Mapping[str, str]) -> list[ColorGroup]:
     return groups
 
 
+@functools.lru_cache(maxsize=4096)
 def _is_velocity(prefix: str) -> bool:
     return any(
         vectors.find_channels(pair.x, [prefix + pair.x.rpartition(".")[2]])

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
 """What a file may store as depth: `read_frame` converts each to distance."""
 
+PIXELS_AT_ONCE = 8192
+"""Pixels whose vectors are converted together: they stay in the processor's cache."""
+
 # Renderers that cannot write infinity store 1e10 or 1e30 for the sky.
 SKY_DEPTH = 1e9
 
@@ -124,16 +127,28 @@ def half_spread(
         JaxblurIOError: the convention needs an argument that was not given.
     """
     *_, width, height = info.parts[info.channel(guess.channels[0]).part].display_window
-    # Damaged values may overflow here; `check_speed` or the caller's statistics report them.
-    with np.errstate(invalid="ignore", over="ignore"):
-        try:
-            displacements = vectors.to_displacements(
-                raw, guess, size=(height, width), alpha=alpha, **scale
-            )
-        except ValueError as error:
-            raise JaxblurIOError(info.path, str(error)) from error
-        velocity, curve = vectors.to_half_spread(displacements, shutter)
-    return _stopped(velocity, still), None if curve is None else _stopped(curve, still)
+    velocity = np.empty((*still.shape, 2), np.float32)
+    curve = np.empty((*still.shape, 2, 2), np.float32) if len(guess.layout) == 2 else None
+    rows = max(1, PIXELS_AT_ONCE // max(1, still.shape[1]))
+    for row in range(0, len(still), rows):
+        block = np.s_[row : row + rows]
+        # Damaged values may overflow here; `check_speed` or the caller's statistics report them.
+        with np.errstate(invalid="ignore", over="ignore"):
+            try:
+                displacements = vectors.to_displacements(
+                    raw[block],
+                    guess,
+                    size=(height, width),
+                    alpha=None if alpha is None else alpha[block],
+                    **scale,
+                )
+            except ValueError as error:
+                raise JaxblurIOError(info.path, str(error)) from error
+            mean, ends = vectors.to_half_spread(displacements, shutter)
+        velocity[block] = _stopped(mean, still[block])
+        if curve is not None and ends is not None:
+            curve[block] = _stopped(ends, still[block])
+    return velocity, curve
 
 
 def _stopped(motion: np.ndarray, still: np.ndarray) -> np.ndarray:

@@ -53,6 +53,8 @@ class Buffers:
         pass_colors: (H, W, K) their values, or None.
         guide: (H, W, G) colors that show of which surface a pixel is, or None, as in
             `jaxblur.Frame`; not beside passes.
+        decoded: (H, W, K) float32 all channels of the part with the picture, as stored, if
+            `read_buffers` was asked to keep them and has read all of them; else None.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -68,6 +70,7 @@ class Buffers:
     pass_channels: tuple[str, ...] = ()
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
     guide: Float[np.ndarray, "height width channels"] | None = None
+    decoded: Float[np.ndarray, "height width channels"] | None = None
 
     def frame(self) -> Frame:
         """The buffers as a `jaxblur.Frame` of JAX arrays.
@@ -106,6 +109,7 @@ class ReadOptions(TypedDict, total=False):
     depth_channel: str | None
     nonfinite: Nonfinite
     also: Passes
+    keep_decoded: bool
 
 
 def read_frame(
@@ -145,6 +149,7 @@ def read_buffers(
     depth_channel: str | None = None,
     nonfinite: Nonfinite | Literal["keep"] = "error",
     also: Passes = (),
+    keep_decoded: bool = False,
 ) -> Buffers:
     """Read color, depth and vectors, convert and check them; jax is not loaded.
 
@@ -173,6 +178,8 @@ def read_buffers(
         also: names or patterns of further color passes, or "all" of them, to be blurred with the
             picture by the same weights, so that they add up to it as before; see
             `jaxblur.exr.choose_passes`.
+        keep_decoded: keep `Buffers.decoded`, from which `write_image` copies what does not change;
+            it would decode the same pixels again.
 
     Returns:
         The buffers, all of one size.
@@ -205,7 +212,7 @@ def read_buffers(
     wanted += [] if channel is None else [(depth_info, (channel,))]
     for data, names in wanted[1:]:
         _check_window(data, names, info, group)
-    colors, vectors_read, *more = read_together(wanted)
+    (colors, vectors_read, *more), decoded = read_together(wanted)
     color, unknown = as_light(info, group, colors, nonfinite)
     if passes:
         extra, lacking = refuse_or_zero(info.path, passes, more[0], nonfinite)
@@ -235,6 +242,7 @@ def read_buffers(
         ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),
         pass_channels=passes,
         pass_colors=extra,
+        decoded=decoded if keep_decoded else None,
     )
 
 

@@ -44,6 +44,7 @@ def write_image(
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
     changes: Sequence[ChannelChange] = (),
+    decoded: Float[np.ndarray, "height width stored"] | None = None,
     color_space: str | None = None,
     view: str | None = None,
 ) -> None:
@@ -73,6 +74,7 @@ def write_image(
             read; if one has changed when the new file is complete, that does not appear.
         changes: other values for pixels of further channels of ``like``, such as the ranks of a
             Cryptomatte; these channels are written even with ``extra="drop"``.
+        decoded: `Buffers.decoded` of ``like``, which need not be decoded again then.
         color_space: color space of the image, for ``.png``; that of ``like`` if None.
         view: OpenColorIO view for ``.png``, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB
             if None.
@@ -106,7 +108,7 @@ def write_image(
     else:
         refuse_overwrite(path, like)
         write_like(
-            *(path, pixels, like, changes),
+            *(path, pixels, like, changes, decoded),
             layer=layer,
             color_channels=color_channels,
             keep_extra=extra == "keep",

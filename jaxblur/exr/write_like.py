@@ -32,6 +32,7 @@ def write_like(
     image: np.ndarray,
     like: PathLike,
     changes: Sequence[ChannelChange],
+    decoded: np.ndarray | None,
     *,
     layer: str | None,
     color_channels: Sequence[str] | None,
@@ -48,6 +49,7 @@ def write_like(
         image: (H, W, C) finite float32.
         like: the model.
         changes: as `jaxblur.exr.write_image`.
+        decoded: as `jaxblur.exr.write_image`.
         layer: as `jaxblur.exr.write_image`.
         color_channels: as `jaxblur.exr.write_image`.
         keep_extra: whether channels and parts that are not color are written too.
@@ -66,7 +68,7 @@ def write_like(
         if keep_extra:
             _refuse_deep(path, info)
             _refuse_equal_names(path, info)
-        new = _New(image, names, changes)
+        new = _New(image, names, changes, _decoded(info, names, decoded))
         plans = _plan_parts(source, info, new, keep_extra, dtype, attributes)
         with replacing(path, last_check) as temporary:
             _write_parts(path, temporary, source, info, plans, new, mend)
@@ -84,6 +86,23 @@ def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Seque
             f"the image has {columns}x{rows} pixels and {count} channels, but {info.path} has "
             f"{width}x{height} and {', '.join(names)}.",
         )
+
+
+def _decoded(
+    info: FileInfo, names: Sequence[str], decoded: np.ndarray | None
+) -> Mapping[int, np.ndarray]:
+    """What was decoded before, by the part that it is of."""
+    if decoded is None:
+        return {}
+    number = info.channel(names[0]).part
+    *_, width, height = info.parts[number].data_window
+    shape = height, width, len(info.parts[number].channels)
+    if decoded.shape != shape:
+        raise ValueError(
+            f"`decoded` must be `decoded` of the buffers of {info.path}, {shape}, got "
+            f"{decoded.shape}."
+        )
+    return {number: decoded}
 
 
 def _refuse_deep(path: PathLike, info: FileInfo) -> None:
@@ -120,11 +139,13 @@ class _New(NamedTuple):
         image: (H, W, C).
         color: full names of the channels that it replaces.
         changes: of further channels.
+        decoded: all channels of parts of the model that were read before, (H, W, K) by part.
     """
 
     image: np.ndarray
     color: Sequence[str]
     changes: Sequence[ChannelChange]
+    decoded: Mapping[int, np.ndarray]
 
     def names(self) -> set[str]:
         """All channels that are replaced or changed."""
@@ -345,9 +366,13 @@ def _merged(
         is_all = order == list(range(new.image.shape[2]))
         pixels = np.ascontiguousarray(new.image if is_all else new.image[..., order])
         return clamp_half(path, pixels) if plan.half else pixels
-    old = read_span(source, info, plan.part, 0, len(channels), "float")
     is_whole = plan.keep == tuple(range(len(channels)))
-    pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
+    if plan.part in new.decoded:
+        old = new.decoded[plan.part]
+        pixels = old.copy() if is_whole else old[..., plan.keep]
+    else:
+        old = read_span(source, info, plan.part, 0, len(channels), "float")
+        pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
     _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
     for position in plan.uint:
         index = plan.keep[position]

@@ -154,12 +154,13 @@ def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _scales(angle: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute the factors for chord and sagitta of an arc when the angle shrinks by ``half``."""
-    curved = angle > 1e-3
     # Below 1e-3 the parabola is equal in float32, and there is no division by zero.
-    angle = np.where(curved, np.minimum(angle, np.float32(_WIDEST)), 1)
-    tangent = np.where(curved, np.sin(half * angle) / np.sin(angle), half)
-    bend = np.where(curved, (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2, half**2)
-    return tangent.astype(np.float32), bend.astype(np.float32)
+    curved = angle > 1e-3
+    tangent, bend = (np.full(angle.shape, scale, np.float32) for scale in (half, half**2))
+    angle = np.minimum(angle[curved], np.float32(_WIDEST))
+    tangent[curved] = np.sin(half * angle) / np.sin(angle)
+    bend[curved] = (np.sin(half * angle / 2) / np.sin(angle / 2)) ** 2
+    return tangent, bend
 
 
 def check_shutter(shutter: float, argument: str) -> None:

@@ -1,6 +1,7 @@
 """Recognize a motion-vector convention by channel names."""
 
 import dataclasses
+import functools
 import re
 from collections.abc import Sequence
 
@@ -163,6 +164,7 @@ def describe_names(channel_names: Sequence[str], limit: int = 40) -> str:
     return f"{shown} and {rest} more" if rest > 0 else shown
 
 
+@functools.lru_cache(maxsize=4096)
 def _ending(pattern: str) -> re.Pattern[str]:
     wild = re.escape(pattern).replace(r"\*", "([^.]*)")
     return re.compile(rf"((?:.*\.)?){wild}")

@@ -34,6 +34,15 @@ class View(NamedTuple):
     loaded: Loaded
 
 
+@functools.cache
+def _start_worker(compile_cache: bool, method: str | None) -> None:
+    """Prepare a worker process, once for all of its frames."""
+    start_jax(compile_cache)
+    if method:
+        # It has not imported a file that registers the filter.
+        find_filter(method)
+
+
 @dataclasses.dataclass(frozen=True)
 class FrameWork:
     """The stages of one frame of a sequence.
@@ -137,10 +146,8 @@ class FrameWork:
     def blur(self, job: Any, frames: list[View]) -> tuple[Choice, list[tuple[View, Any]]]:
         """Blur the views of a frame, or pass it through."""
         with about_frame(job.frame):
-            start_jax(not self.arguments.no_compile_cache)
-            if self.arguments.filter:
-                # A worker process has not imported a file that registers the filter.
-                find_filter(self.arguments.filter)
+            if self.devices is None:
+                _start_worker(not self.arguments.no_compile_cache, self.arguments.filter)
             chosen = passed_through(self.asked)
             if job.action != "pass":
                 fastest = max(frames, key=lambda view: view.loaded.speeds.suggested_radius)
