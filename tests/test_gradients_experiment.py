@@ -38,16 +38,19 @@ def test_places_of_a_curve_are_scales_of_the_velocity():
     np.testing.assert_allclose(second(0.1).velocity, 2.2 * frame.velocity, rtol=1e-6)
 
 
-def test_frames_with_a_determined_depth(tmp_path):
+def test_where_a_depth_is_determined(tmp_path):
     file = tmp_path / "ratios.csv"
     file.write_text(
         "filter,frame,quantity\n"
         '"layered, bilinear","catalogue, zoom",object depth\n'
         '"layered, bilinear","catalogue, gears",object speed\n'
-        '"guertin2014, nearest","catalogue, gears",object depth\n',
+        '"guertin2014, nearest","rendered, sky_car",object depth\n',
         encoding="utf-8",
     )
-    assert list(depth.frames_in(file)) == ["catalogue_zoom"]
+    assert list(depth.cases_in(file)) == [
+        ("layered", "bilinear", "catalogue_zoom"),
+        ("guertin2014", "nearest", "rendered_sky_car"),
+    ]
 
 
 @pytest.mark.slow

@@ -1,11 +1,12 @@
-"""An object's depth under `layered`: the difference by its step, and what makes it.
+"""An object's depth: derivative and difference by the step, and what of `layered` makes it.
 
     python -m experiments.013_gradients.depth --frames DIR --ratios RATIOS -o OUT
 
 DIR is the folder of frames that ``run --frames DIR`` keeps, RATIOS its ``ratios.csv``, which says
-for which frames the difference is determined. Writes ``depth``: the derivative, the difference at
-several steps, and the difference at 2 % if only one of the things that pass L5 reads is that of the
-moved frame: who is in front (passes L3), the background (L4), or the paths (L1 and L2).
+where the difference is determined. Writes ``depth``, the derivative and the difference at several
+steps; and ``depth_parts``: the difference under `layered` at 2 % if only one of the things that
+pass L5 reads is that of the moved frame, who is in front (pass L3), the background (L4) or the
+paths (L1 and L2).
 """
 
 import csv
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common import output_parser, write_table
+from jaxblur._util.stages import untold
 from jaxblur.filters import filter_info
 from jaxblur.filters.layered import filter as layered
 from jaxblur.gradient_check import check, measure, quantities
@@ -26,7 +28,7 @@ from jaxblur.kernels import Image, each_pixel
 from .worker import read
 
 DRAWS = 4
-STEPS = (0.002, 0.005, 0.01, 0.02, 0.05)
+STEPS = (0.001, 0.005, 0.02, 0.05)
 SPLIT_AT = 0.02
 PARTS = {"who is in front": ("owners", "states"), "background": ("background",)}
 """Images of pass L5 by what they are; its others, that is the paths, are the remaining part."""
@@ -36,12 +38,13 @@ SETTINGS = INFO.make_settings(fetch="bilinear")
 PARAMETERS = jax.tree.map(jnp.float32, INFO.make_parameters())
 
 
-def frames_in(ratios: Path) -> Iterator[str]:
-    """The frames for which an object's depth is determined, as files are named."""
+def cases_in(ratios: Path) -> Iterator[tuple[str, str, str]]:
+    """Filter, fetch and frame where an object's depth is determined; frames as files are named."""
     with ratios.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            if row["filter"].startswith("layered") and row["quantity"] == "object depth":
-                yield row["frame"].replace(", ", "_")
+            if row["quantity"] == "object depth":
+                name, fetch = row["filter"].split(", ")
+                yield name, fetch, row["frame"].replace(", ", "_")
 
 
 @jax.jit
@@ -75,27 +78,36 @@ def error(still: Any, moved: Any, takes: Any, truth: jax.Array, noise: Any) -> j
     return check.squared_error(blurred, truth)
 
 
-def row_of(frame: Any, truth: jax.Array) -> list[float]:
-    """Derivative, differences by step, and differences by part."""
-    here = quantities.Point(frame, PARAMETERS)
+def by_step(name: str, fetch: str, frame: Any, truth: jax.Array) -> list[float]:
+    """The derivative of a filter, and its difference at each step."""
+    info = filter_info(name)
     moved = quantities.object_directions(frame, "fastest")["object depth"]
+    parameters = jax.tree.map(jnp.float32, info.make_parameters())
+    depth = quantities.frame_quantity("depth", quantities.Point(frame, parameters), moved)
+    programs = measure.compile_programs(info, info.make_settings(fetch=fetch), check.squared_error)
     noises = measure.draw_noise(DRAWS, 0, frame)
-    programs = measure.compile_programs(INFO, SETTINGS, check.squared_error)
-    place = jax.jvp(quantities.frame_quantity("depth", here, moved).move, (0.0,), (1.0,))
-    (slope,) = measure.reverse(programs, [place], truth, noises)
+    found = [
+        measure.measure(programs, [depth], truth, noises, step, False, untold)[0] for step in STEPS
+    ]
+    return [found[0].reverse.mean(), *(each.difference.mean() for each in found)]
 
-    def difference(step: float, takes: list[bool]) -> float:
-        ends = (moved(side * step) for side in (1, -1))
-        above, below = (
-            np.mean([error(frame, end, takes, truth, noise) for noise in noises]) for end in ends
-        )
-        return float(above - below) / (2 * step)
 
-    whole = [True] * (len(PARTS) + 1)
-    return [
-        float(slope.mean()),
-        *(difference(step, whole) for step in STEPS),
-        *(difference(SPLIT_AT, list(map(bool, part))) for part in np.eye(len(whole))),
+def by_part(frame: Any, truth: jax.Array) -> list[float]:
+    """The difference of `layered` at `SPLIT_AT`, and that of each part alone."""
+    moved = quantities.object_directions(frame, "fastest")["object depth"]
+    above, below = moved(SPLIT_AT), moved(-SPLIT_AT)
+    noises = measure.draw_noise(DRAWS, 0, frame)
+
+    def difference(takes: list[bool]) -> float:
+        changes = [
+            error(frame, above, takes, truth, n) - error(frame, below, takes, truth, n)
+            for n in noises
+        ]
+        return float(np.mean(changes)) / (2 * SPLIT_AT)
+
+    count = len(PARTS) + 1
+    return [difference([True] * count)] + [
+        difference([k == part for k in range(count)]) for part in range(count)
     ]
 
 
@@ -105,14 +117,19 @@ def main() -> None:
     parser.add_argument("--frames", type=Path, metavar="DIR", required=True)
     parser.add_argument("--ratios", type=Path, metavar="RATIOS", required=True)
     options = parser.parse_args()
-    rows = []
-    for name in frames_in(options.ratios):
-        frame, truth = read(options.frames / f"{name}.npz")
-        cells = row_of(frame, jnp.asarray(truth))
-        rows.append((name.replace("_", ", ", 1), *(f"{1e6 * cell:.3g}" for cell in cells)))
-    steps = (f"step {100 * step:g} %" for step in STEPS)
-    heads = ("frame", "derivative", *steps, *PARTS, "paths")
-    write_table(options.output, "depth", heads, rows)
+    steps, parts = [], []
+    for name, fetch, scene in cases_in(options.ratios):
+        frame, truth = read(options.frames / f"{scene}.npz")
+        truth, shown = jnp.asarray(truth), scene.replace("_", ", ", 1)
+        derivative, *differences = by_step(name, fetch, frame, truth)
+        ratios = [f"{derivative / d:.3f}" if d else "no change" for d in differences]
+        steps.append((name, shown, f"{1e6 * derivative:.3g}", *ratios))
+        if name == "layered":
+            parts.append((shown, *(f"{1e6 * d:.3g}" for d in by_part(frame, truth))))
+    heads = (f"ratio at {100 * step:g} %" for step in STEPS)
+    write_table(options.output, "depth", ("filter", "frame", "derivative", *heads), steps)
+    heads = ("frame", "difference", *PARTS, "paths")
+    write_table(options.output, "depth_parts", heads, parts)
 
 
 if __name__ == "__main__":
