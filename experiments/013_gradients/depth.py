@@ -70,8 +70,9 @@ def error(still: Any, moved: Any, takes: Any, truth: jax.Array, noise: Any) -> j
         name: Image(jnp.where(take, getattr(other, name).values, getattr(images, name).values))
         for name, take in chosen.items()
     }
+    height, width = still.depth.shape
     blurred = each_pixel(
-        *(layered.blur_pixel, truth.shape[:2], images._replace(**mixed), inputs, plan),
+        *(layered.blur_pixel, (height, width), images._replace(**mixed), inputs, plan),
         kept=still.color,
         backend=SETTINGS.backend,
     )
