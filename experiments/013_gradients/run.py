@@ -1,7 +1,7 @@
 """Derivatives of the filters beside central differences, with and without that in the place.
 
     python -m experiments.013_gradients.run --reference-data DIR -o OUT
-        [--draws N] [--filters NAME:FETCH,...] [--frames DIR]
+        [--draws N] [--step H] [--filters NAME:FETCH,...] [--frames DIR]
 
 For every filter, frame and quantity of `jaxblur.check_gradient`: the ratio of the
 derivative to the difference.
@@ -86,12 +86,13 @@ def _write(file: Path, example: Example) -> None:
     np.savez(file, **known)
 
 
-def measure(frames: Path, case: str, draws: int) -> dict[str, dict[str, Any]]:
+def measure(frames: Path, case: str, draws: int, step: float) -> dict[str, dict[str, Any]]:
     """What the processes of a filter find, by whether texels are held (before) or move (after)."""
     with tempfile.TemporaryDirectory() as folder:
         started = {}
         for when, texels in (("before", "held"), ("after", "moving")):
-            arguments = [frames, Path(folder) / when, *case.split(":"), draws, ROUNDS, texels]
+            numbers = draws, step, ROUNDS
+            arguments = [frames, Path(folder) / when, *case.split(":"), *numbers, texels]
             command = [sys.executable, "-m", WORKER, *map(str, arguments)]
             # Kernels of their own: those with texels held are not found again as those without.
             cache = Path(folder) / f"cache_{when}"
@@ -191,6 +192,7 @@ def main() -> None:
     parser = output_parser("Derivatives beside differences.", "rendered scenes")
     parser.add_argument("--frames", type=Path, metavar="DIR", help="keeps the frames between runs")
     parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--step", type=float, default=0.02, help="half the interval; default: 0.02")
     parser.add_argument("--filters", default=",".join(CASES), metavar="NAME:FETCH,...")
     options = parser.parse_args()
     rows: list[Any] = []
@@ -202,7 +204,8 @@ def main() -> None:
         frames.mkdir(exist_ok=True)
         write_frames(frames, options.reference_data)
         for case in options.filters.split(","):
-            found, label = measure(frames, case, options.draws), case.replace(":", ", ")
+            found = measure(frames, case, options.draws, options.step)
+            label = case.replace(":", ", ")
             joined = join(label, found["before"]["rows"], found["after"]["rows"])
             rows += joined
             summary += summarize(label, joined)

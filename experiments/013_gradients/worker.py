@@ -1,6 +1,7 @@
-"""Derivatives of one filter for many frames, and their times; a process of `run`.
+r"""Derivatives of one filter for many frames, and their times; a process of `run`.
 
-    python -m experiments.013_gradients.worker FRAMES RESULT FILTER FETCH DRAWS ROUNDS held|moving
+    python -m experiments.013_gradients.worker FRAMES RESULT FILTER FETCH DRAWS STEP ROUNDS \
+        held|moving
 
 FRAMES is a folder of frames with their truth as NumPy archives, RESULT the JSON file that is
 written. ``held`` is the derivative as it was: that with the texels held that a program reads.
@@ -48,13 +49,17 @@ def read(file: Path) -> tuple[jaxblur.Frame, np.ndarray]:
     return jaxblur.Frame(**arrays), truth
 
 
-def tables(files: list[Path], name: str, settings: Any, draws: int) -> list[Any]:
+def tables(files: list[Path], name: str, settings: Any, draws: int, step: float) -> list[Any]:
     """Rows of `check_gradient` for every frame, as dictionaries."""
     rows = []
     for file in files:
         frame, truth = read(file)
         table = check.check_gradient(
-            name, frame, truth, settings=settings, draws=draws, camera_velocity=camera_velocity
+            *(name, frame, truth),
+            settings=settings,
+            step=step,
+            draws=draws,
+            camera_velocity=camera_velocity,
         )
         print(file.stem, table, sep=", ", flush=True)
         rows += [{"frame": file.stem, **vars(row)} for row in table.rows]
@@ -99,14 +104,14 @@ def times(file: Path, name: str, settings: Any, rounds: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure one filter, and write what was found."""
-    folder, result, name, fetch, draws, rounds, texels = sys.argv[1:]
+    folder, result, name, fetch, draws, step, rounds, texels = sys.argv[1:]
     if texels == "held":
         places._Stage.places = ()  # pyright: ignore[reportAttributeAccessIssue]
         check.measure = without_differences
     files = sorted(Path(folder).glob("*.npz"))
     settings = filter_info(name).make_settings(fetch=fetch)
     found = {
-        "rows": tables(files, name, settings, int(draws)),
+        "rows": tables(files, name, settings, int(draws), float(step)),
         "times": times(files[-1], name, settings, int(rounds)),
     }
     Path(result).write_text(json.dumps(found), encoding="utf-8")
