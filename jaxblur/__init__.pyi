@@ -6,6 +6,7 @@ from . import (
     metrics as metrics,
     perception as perception,
     posts as posts,
+    safe_math as safe_math,
     scenes as scenes,
     show as show,
     vectors as vectors,

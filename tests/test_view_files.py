@@ -182,6 +182,10 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
             "--disparity",
         ),
         (("in.%V.exr", "-o", "out.%V.exr", "--views", "left,top"), "in.top.exr"),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--truth", "in.%V.exr", "--result", "seen.%V"),
+            "one result holds all views",
+        ),
         (("both.%V.exr", "-o", "out.%V.exr"), "holds the views left, right, and %V stands for"),
     ],
 )

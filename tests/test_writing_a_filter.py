@@ -51,9 +51,8 @@ def plain(frame, boost, samples):
         total, weights = 0.0, 0.0
         for i in range(samples):
             t = (2 * i + 1) / samples - 1
-            there = np.clip(
-                np.round([row + t * y, column + t * x]), 0, np.subtract(color.shape[:2], 1)
-            )
+            there = np.floor([t * y + 0.5, t * x + 0.5]) + np.array([row, column])
+            there = np.clip(there, 0, np.subtract(color.shape[:2], 1))
             value = color[tuple(there.astype(int))]
             weight = 1 + boost * (value @ [0.2126, 0.7152, 0.0722])
             total, weights = total + weight * value, weights + weight
@@ -81,6 +80,50 @@ def test_values_and_derivatives(info, backend):
     moved = [total(frame.color + sign * step * along, 2.0) for sign in (1, -1)]
     slope = (moved[0] - moved[1]) / (2 * step)
     np.testing.assert_allclose(jnp.sum(of_color * along), slope, rtol=1e-2)
+
+
+@pytest.mark.parametrize("backend", ["native", "xla"])
+def test_derivatives_by_the_motion(info, backend):
+    if backend == "native" and build.find_compiler() is None:
+        pytest.skip("needs a C++ compiler")
+    # Random colors blurred toward gray: longer paths lose more contrast.
+    frame, settings = random_frame((24, 40), speed=6.0), info.make_settings(backend=backend)
+
+    def contrast(velocity, boost):
+        blurred = info.call(
+            frame.replace(velocity=velocity), info.make_parameters(boost=boost), settings=settings
+        )
+        return jnp.var(blurred)
+
+    derivatives = jax.jit(jax.grad(contrast, (0, 1)))
+    by_velocity, by_boost = derivatives(frame.velocity, 1.0)
+    assert np.isfinite(by_velocity).all() and np.isfinite(by_boost)
+    slope = jnp.sum(by_velocity * frame.velocity)
+    change = (contrast(1.1 * frame.velocity, 1.0) - contrast(0.9 * frame.velocity, 1.0)) / 0.2
+    assert change < 0 and 0.6 < slope / change < 1.6
+    assert all(np.isfinite(of).all() for of in derivatives(0 * frame.velocity, 1.0))
+
+
+def test_the_radius_limits_the_motion(info):
+    frame, settings = random_frame((9, 21)), info.make_settings(samples=7, radius=4)
+    longest = np.linalg.norm(frame.velocity, axis=-1, keepdims=True)
+    clamped = frame.replace(velocity=frame.velocity * jnp.minimum(1, 4 / jnp.maximum(longest, 1)))
+    blurred = info.call(frame, info.make_parameters(boost=2.0), settings=settings)
+    # Where rounding decides between two texels, one sample may differ.
+    wrong = np.abs(blurred - plain(clamped, 2.0, 7)).max(axis=-1) > 1e-4
+    assert longest.max() > 8 and wrong.mean() < 0.02
+
+
+def test_an_array_in_a_program_is_refused(info, tmp_path):
+    code = CODE.replace("[weight * value for value in color]", "list(weight * jnp.stack(color))")
+    path = tmp_path / "stacked.py"
+    path.write_text(code.replace(NAME, "stacked_streaks"), encoding="utf-8")
+    stacked = load_filter(f"{path}:stacked_streaks")
+    try:
+        with pytest.raises(ValueError, match=r"operation .* makes an array of shape \(3,\)"):
+            stacked.call(random_frame((5, 8)), stacked.make_parameters(), settings=stacked.settings)
+    finally:
+        jaxblur.filters.unregister("stacked_streaks")
 
 
 def test_batches_and_masks(info):

@@ -131,6 +131,11 @@ def _check_sources(arguments: argparse.Namespace, names: Sequence[str]) -> None:
             f"{arguments.output}: each view of {arguments.input} becomes a file; write {PLACE} in "
             f"the name of the output too, such as out.{PLACE}.exr."
         )
+    if _has_place(getattr(arguments, "result", None)):
+        raise CommandError(
+            f"--result: {arguments.result} has {PLACE}, but one result holds all views; leave "
+            f"{PLACE} out."
+        )
     for key, why in SOURCES.items():
         path = getattr(arguments, key, None)
         if len(names) > 1 and isinstance(path, pathlib.Path) and not _has_place(path):

@@ -291,7 +291,8 @@ def filter_info(filter: str | Callable[..., jax.Array]) -> FilterInfo:
         hint = f" (did you mean {near[0]}?)" if near else ""
     raise ValueError(
         f"`filter` must be one of {', '.join(names())}, or one of these functions, got "
-        f"{filter!r}{hint}; filters of your own are made known by jaxblur.register."
+        f"{filter!r}{hint}; filters of your own are made known by jaxblur.register, at the command "
+        "line by --filter FILE.py:NAME."
     )
 
 

@@ -191,11 +191,7 @@ class _Cut:
         """The variables that depend on where the pixel is, or on an image there."""
         images = (o for o, t in zip(self.own, self.table, strict=True) if t is not None)
         varying = {*self.place[:2], *(variable for own in images for variable in own)}
-        for equation in self.jaxpr.eqns:
-            is_still = equation.primitive is place_primitive and equation.params["still"]
-            reads = (v for v in equation.invars if not _is_literal(v))
-            if not is_still and not varying.isdisjoint(reads):
-                varying.update(equation.outvars)
+        _add_depending(self.jaxpr.eqns, varying)
         return varying
 
     def _needed(self, variables: Iterable[Any], known: Iterable[Any] = ()) -> list[int]:
@@ -407,6 +403,31 @@ class _Cut:
         values = self._late(place, prepared, local, None)
         values |= zip(loop.outvars, sums, strict=True)
         return self._run(self.after, values, self.values)
+
+
+def _add_depending(equations: Iterable[Any], varying: set[Any]) -> None:
+    """Add the variables that depend on varying ones, and refuse arrays among them."""
+    for equation in equations:
+        is_still = equation.primitive is place_primitive and equation.params["still"]
+        if is_still or varying.isdisjoint(v for v in equation.invars if not _is_literal(v)):
+            continue
+        _refuse_array(equation)
+        varying.update(equation.outvars)
+        if equation.primitive in (sum_primitive, marks_primitive):
+            inner = equation.params["jaxpr"]
+            pairs = zip(inner.constvars, equation.invars, strict=False)
+            _add_depending(inner.eqns, {v for v, o in pairs if not _is_literal(o) and o in varying})
+
+
+def _refuse_array(equation: Any) -> None:
+    """Refuse an equation that makes an array of a pixel's values."""
+    shape = next((v.aval.shape for v in equation.outvars if v.aval.size != 1), None)
+    if shape is not None:
+        raise UnsupportedProgram(
+            f"a program computes with scalars, but its operation {equation.primitive} makes an "
+            f"array of shape {shape}; write the channels one by one, such as "
+            "`[2 * value for value in color]`."
+        )
 
 
 def _is_literal(variable: Any) -> bool:
