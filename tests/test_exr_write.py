@@ -333,9 +333,16 @@ def test_a_jpeg_that_the_disk_may_not_hold_is_not_begun(tmp_path, monkeypatch):
     free = shutil.disk_usage(tmp_path)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
     exr.write_image(tmp_path / "a.png", np.ones((4, 6, 3)))
-    with pytest.raises(exr.JaxblurIOError, match=r"needs up to 131144 bytes, .* has 1000; free"):
+    with pytest.raises(exr.JaxblurIOError, match=r"needs up to 180072 bytes, .* has 1000; free"):
         exr.write_image(tmp_path / "a.jpg", np.ones((4, 6, 3)))
     assert files(tmp_path) == ["a.png"]
+    monkeypatch.undo()
+    for count in (59_980, 59_990):
+        text = {"jaxblur:x": "z" * count}
+        fits = count == 59_980
+        with contextlib.nullcontext() if fits else pytest.raises(exr.JaxblurIOError, match="holds"):
+            exr.write_image(tmp_path / "a.jpg", np.ones((4, 6, 3)), attributes=text)
+    assert len(str(exr.inspect(tmp_path / "a.jpg").parts[0].attributes["jaxblur:x"])) == 59_980
 
 
 @pytest.mark.parametrize("text", ["a photo", "[1]", "[" * 100_000, '{"R": 1, "jaxblur:x": [2]}'])

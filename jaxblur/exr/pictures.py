@@ -33,11 +33,9 @@ LINEAR_BITS = 32
 # Exif's number for colors that are not those of sRGB. Without any attribute of Exif the writer of
 # OpenImageIO fails to write an empty table of them.
 _UNCALIBRATED = 65535
-
-
 _JPEG = (".jpg", ".jpeg")
-_LARGEST_HEADER = 2**17
-"""Bytes of a JPEG before its pixels, at most: it stores a description twice, of 64 KiB each."""
+_LONGEST_TEXT = 60_000
+"""Bytes of a description that a JPEG holds; it stores it twice."""
 
 
 def bits_of(path: PathLike, bits: int | None) -> int:
@@ -94,19 +92,24 @@ def write_picture(
         spec.attribute("oiio:ColorSpace", "sRGB")
     file = pathlib.Path(path)
     suffix = file.suffix.lower()
-    if suffix in _JPEG and file.parent.is_dir():
-        _check_space(file, pixels.nbytes)
+    text = to_text(attributes)
     if suffix == ".png":
         set_attributes(spec, attributes)
     else:
-        spec.attribute(DESCRIPTION, to_text(attributes))
+        spec.attribute(DESCRIPTION, text)
+    if suffix in _JPEG and file.parent.is_dir():
+        _check_jpeg(file, pixels.nbytes, text)
     with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
         check(path, output, output.write_image(pixels))
 
 
-def _check_space(path: pathlib.Path, pixels: int) -> None:
-    """Reject a JPEG that the disk may not hold: libjpeg ends the process where it is full."""
-    needed = pixels + _LARGEST_HEADER
+def _check_jpeg(path: pathlib.Path, pixels: int, text: str) -> None:
+    """Reject what libjpeg would end the process for: long metadata, and a full disk."""
+    if len(text) > _LONGEST_TEXT:
+        raise JaxblurIOError(
+            path, f"has {len(text)} bytes of metadata, a JPEG holds {_LONGEST_TEXT}; write .png."
+        )
+    needed = pixels + 3 * _LONGEST_TEXT
     free = shutil.disk_usage(path.parent).free
     if free < needed:
         raise JaxblurIOError(
