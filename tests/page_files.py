@@ -22,7 +22,7 @@ HERO = 7
 
 def write_folder(folder: Path) -> Path:
     """Write all files into an empty folder; frame numbers are those of the pages."""
-    for name in ("render", "nuke", "arnold", "shots/a", "out", "blurred", "tests/data"):
+    for name in ("render", "nuke", "arnold", "shots/a", "out", "blurred", "stills", "tests/data"):
         (folder / name).mkdir(parents=True)
     _write_frames(folder)
     _write_other_renderers(folder)

@@ -348,11 +348,11 @@ def test_a_cache_folder_that_cannot_be_used_is_a_warning(tmp_path):
         (("blur", "a.exr", "-o", "b.exr", "--border", "clam"), "(did you mean clamp?)"),
         (
             ("blur", "shot/a.0011.exr", "shot/a.0012.exr", "-o", "b.exr"),
-            "unexpected shot/a.0012.exr: `jaxblur blur` takes one frame, or the names of a "
-            "sequence as one pattern, in quotes: 'shot/a.####.exr'; see `jaxblur blur --help`",
+            "b.exr: is no folder, and 2 frames need one: create it, and give -o DIR. A sequence is "
+            "named by one pattern, in quotes: 'shot/a.####.exr'.",
         ),
-        (("blur", "a.exr", "b.exr", "-o", "c.exr"), "as one pattern, in quotes: 'name.####.exr'"),
-        (("blur", "-o", "c.exr", "a.exr", "b.exr"), "unexpected b.exr: "),
+        (("blur", "a.exr", "b.exr", "-o", "c.exr"), "by one pattern, in quotes: 'name.####.exr'"),
+        (("blur", "a.exr", "-o", "c.exr", "b.exr"), "unexpected b.exr: give all frames one after"),
         (
             ("blur", CAR.parent / "cube_over_crates_frame_*.exr", "-o", "b.exr"),
             "sequence are named by one pattern, in quotes: "

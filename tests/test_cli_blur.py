@@ -210,6 +210,41 @@ def test_png_output_is_srgb(tmp_path):
     assert np.abs(pixels - shown).max() <= 0.501
 
 
+def test_a_tif_holds_the_light_and_integers_what_a_screen_shows(tmp_path):
+    light = expected()
+    run("blur", CAR, "-o", tmp_path / "light.tif", *FEW)
+    pixels = read_raw(tmp_path / "light.tif")[1]
+    assert isinstance(pixels, np.ndarray) and pixels.dtype == np.float32
+    np.testing.assert_array_equal(pixels, np.float32(light))
+    shown = srgb.encode(np.clip(light[..., :3], 0, 1))
+    for name, most in (("deep.tif", 65535), ("deep.png", 65535)):
+        outcome = run("blur", CAR, "-o", tmp_path / name, *FEW, "--bits", "16")
+        assert "16-bit sRGB, clipped to 0..1" in outcome.err
+        pixels = read_raw(tmp_path / name)[1]
+        assert isinstance(pixels, np.ndarray) and pixels.dtype == np.uint16
+        assert np.abs(pixels - shown * most).max() <= 0.51
+    assert run("blur", CAR, "-o", tmp_path / "out.jpg", *FEW).status == 0
+    pixels = read_raw(tmp_path / "out.jpg")[1]
+    assert isinstance(pixels, np.ndarray) and pixels.dtype == np.uint8
+    assert np.abs(pixels / 255 - shown).mean() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("out.exr", ("--bits", "16"), "--bits: is for pictures"),
+        ("out.jpg", ("--bits", "16"), "--bits must be 8 for .jpg, got 16"),
+        ("out.png", ("--bits", "32"), "--bits must be 8 or 16 for .png, got 32"),
+        ("out.tif", ("--png", "--bits", "32"), "--bits must be 8 or 16 for .png, got 32"),
+        ("out.tif", ("--view", "Raw"), "--view: is for pictures and scores"),
+    ],
+)
+def test_bits_and_views_that_a_format_does_not_have(tmp_path, name, options, message):
+    outcome = run("blur", CAR, "-o", tmp_path / name, *FEW, *options)
+    assert outcome.status == 2 and message in outcome.err
+    assert not any(tmp_path.iterdir())
+
+
 def test_png_beside_the_exr(tmp_path):
     outcome = run("blur", CAR, "-o", tmp_path / "out.exr", *FEW, "--png")
     assert outcome.out.split() == [str(tmp_path / "out.exr"), str(tmp_path / "out.png")]
@@ -323,8 +358,7 @@ def test_wrong_arguments_are_refused_with_a_remedy(tmp_path, given, words):
     ("name", "word"),
     [
         ("missing/out.exr", "create it first"),
-        ("out.tif", ".exr and .png only"),
-        (".", "is a folder"),
+        ("out.gif", "can write .exr, .png, .tif, .tiff, .jpg, .jpeg only"),
     ],
 )
 def test_outputs_that_cannot_be_written(tmp_path, name, word):

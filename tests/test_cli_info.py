@@ -10,6 +10,7 @@ import pytest
 import jaxblur
 from jaxblur import exr, vectors
 from jaxblur.cli.main import build_parser
+from jaxblur.show import buffers
 from tests.command_line import refused, run
 from tests.exr_files import CAR, CUBE, CUBE_NEXT, plain_frame, write_single
 
@@ -246,6 +247,39 @@ def test_vectors_refuses_a_frame_as_its_own_next(tmp_path):
     copy = shutil.copy(CUBE, tmp_path / "copy.exr")
     words = refused("vectors", CUBE, "--next", copy)
     assert f"copy.exr: has the same picture as {CUBE}" in words
+
+
+def test_vectors_draws_the_streaks_of_the_shutter(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        buffers, "draw_streaks", lambda axes, x, y, velocity, **_: drawn.append(velocity)
+    )
+    for shutter in ("0.5", "1"):
+        out = tmp_path / f"{shutter}.png"
+        outcome = run("vectors", CUBE, "--draw", out, "--shutter", shutter)
+        assert outcome.status == 0
+        assert f"as preset blender, for a shutter of {shutter} frames" in outcome.out
+        assert exr.inspect(out).parts[0].data_window[2] == 1280
+    fast = jaxblur.read_frame(CUBE, shutter=1.0).velocity
+    half, whole = (np.abs(np.asarray(velocity)).max() for velocity in drawn)
+    assert whole == pytest.approx(2 * half, rel=0.01) and whole <= np.abs(fast).max()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("--draw", "out.exr"), "out.exr: can draw .png only"),
+        (("--draw", "no/out.png"), "create it first"),
+        (("--draw", "out.png", "--next", CUBE_NEXT), "--next: --draw draws one frame"),
+        (("--draw", "there.png"), "there.png: exists; pass --overwrite"),
+        (("--preset", "nuke", "--next", CUBE_NEXT), "--preset: is for --draw OUT.png"),
+    ],
+)
+def test_drawings_that_cannot_be_made(tmp_path, monkeypatch, given, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.png").write_text("mine")
+    assert message in refused("vectors", CUBE, *given)
+    assert [path.name for path in tmp_path.iterdir()] == ["there.png"]
 
 
 def test_vectors_says_how_to_give_the_following_frame():

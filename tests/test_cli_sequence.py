@@ -353,12 +353,21 @@ def test_a_png_beside_every_frame(shot):
     assert "1 kept" in run(*command, "--png", "--frames", "1001").out
 
 
+@pytest.mark.parametrize("suffix", ["tif", "jpg"])
+def test_a_sequence_of_pictures_continues_where_it_stopped(shot, suffix):
+    path, command = shot
+    command = [str(text).replace("a.####.exr", f"a.####.{suffix}") for text in command]
+    assert "1 written" in run(*command, "--frames", "1001").out
+    assert header(path / f"out/a.1001.{suffix}")["jaxblur:version"]
+    assert "1 kept" in run(*command, "--frames", "1001").out
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"-o": "out/a.exr"}, ("no place for the frame number", "name.####.exr")),
         ({"-o": "none/a.####.exr"}, ("create it first",)),
-        ({"-o": "out/a.####.jpg"}, (".exr and .png only",)),
+        ({"-o": "out/a.####.gif"}, ("can write .exr, .png",)),
         ({"-o": "in.%04d.exr"}, ("is an input too",)),
         ({"input": "in.1001.exr", "--frames": "1001"}, ("no place for the frame number",)),
         ({"input": "in.1001.exr", "--cut": "1001"}, ("--cut: is for sequences",)),

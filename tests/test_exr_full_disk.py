@@ -18,7 +18,7 @@ from jaxblur import exr
 folder, counts = Path(sys.argv[1]), {"whole": 0, "refused": 0, "partial": []}
 image = np.random.default_rng(0).random((40, 60, 3), np.float32)
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
-for kind in ("exr", "png"):
+for kind in ("exr", "png", "tif"):
     whole = folder / f"whole.{kind}"
     exr.write_image(whole, image)
     size = whole.stat().st_size
@@ -46,4 +46,4 @@ def test_a_file_that_lacks_any_of_its_last_bytes_is_rejected(tmp_path):
     assert outcome.returncode == 0, outcome.stderr
     counts = json.loads(outcome.stdout)
     assert counts["partial"] == [] and counts["hidden"] == []
-    assert counts["whole"] == 2 and counts["refused"] > 70
+    assert counts["whole"] == 3 and counts["refused"] > 70

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import os
 import re
+import shutil
 import stat
 from typing import Any, Literal
 
@@ -15,6 +16,7 @@ import jaxblur
 from jaxblur import exr
 from jaxblur.exr import listing, output, write_like
 from jaxblur.exr.header import relabel_as_uint
+from jaxblur.exr.notes import described
 from tests.exr_files import (
     CAR,
     CUBE,
@@ -307,7 +309,7 @@ def test_refusals(tmp_path):
     (tmp_path / "folder.exr").mkdir()
     io_errors: list[tuple[str, np.ndarray, dict[str, Any], str]] = [
         ("out.exr", bad, {}, "1 values of the image are NaN or infinite; nothing was written"),
-        ("out.jpg", good, {}, "can write .exr and .png only"),
+        ("out.gif", good, {}, "can write .exr, .png, .tif, .tiff, .jpg, .jpeg only"),
         ("missing/out.exr", good, {}, "cannot be written: No such file or directory"),
         ("folder.exr", good, {}, "is a folder"),
         ("out.exr", good[:3], {"like": source}, "image has 6x3 pixels and 3 channels, but .* 6x4"),
@@ -324,6 +326,44 @@ def test_refusals(tmp_path):
     with pytest.raises(ValueError, match="`channels` must be arrays of one"):
         exr.write_channels(tmp_path / "a.exr", {"R": good[..., 0], "G": good[:2, :, 0]})
     assert files(tmp_path) == ["folder.exr", "in.exr"]
+
+
+def test_a_jpeg_that_the_disk_may_not_hold_is_not_begun(tmp_path, monkeypatch):
+    # libjpeg would end the process.
+    free = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+    exr.write_image(tmp_path / "a.png", np.ones((4, 6, 3)))
+    with pytest.raises(exr.JaxblurIOError, match=r"needs up to 180072 bytes, .* has 1000; free"):
+        exr.write_image(tmp_path / "a.jpg", np.ones((4, 6, 3)))
+    assert files(tmp_path) == ["a.png"]
+    monkeypatch.undo()
+    for count in (59_980, 59_990):
+        text = {"jaxblur:x": "z" * count}
+        fits = count == 59_980
+        with contextlib.nullcontext() if fits else pytest.raises(exr.JaxblurIOError, match="holds"):
+            exr.write_image(tmp_path / "a.jpg", np.ones((4, 6, 3)), attributes=text)
+    assert len(str(exr.inspect(tmp_path / "a.jpg").parts[0].attributes["jaxblur:x"])) == 59_980
+
+
+@pytest.mark.parametrize("text", ["a photo", "[1]", "[" * 100_000, '{"R": 1, "jaxblur:x": [2]}'])
+def test_descriptions_that_hold_no_metadata_of_jaxblur(text):
+    assert described({"ImageDescription": text}) == {}
+
+
+def test_bits_are_for_pictures(tmp_path):
+    with pytest.raises(ValueError, match="`bits` is for pictures; give `dtype`"):
+        exr.write_image(tmp_path / "a.exr", np.ones((4, 6, 3)), bits=16)
+
+
+def test_alpha_stays_in_a_tif_of_floats_alone(tmp_path):
+    image = np.random.default_rng(0).random((4, 6, 4), np.float32) * 3 - 1
+    exr.write_image(tmp_path / "a.tif", image, attributes={"jaxblur:version": "1"})
+    np.testing.assert_array_equal(exr.read_image(tmp_path / "a.tif"), image)
+    info = exr.inspect(tmp_path / "a.tif")
+    assert info.parts[0].attributes["jaxblur:version"] == "1"
+    assert info.channel_names == ("R", "G", "B", "A")
+    exr.write_image(tmp_path / "a.tif", image, bits=8)
+    assert exr.inspect(tmp_path / "a.tif").channel_names == ("R", "G", "B")
 
 
 def test_a_png_cannot_be_the_model(tmp_path):

@@ -186,9 +186,12 @@ def fitted_file(path):
 
 
 def remove(name):
-    """Remove what a former command of the page has written."""
+    """Remove what a former command has written; an empty folder was made for this one."""
     for path in map(Path, glob.glob(name.replace("####", "*"))):
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        if not path.is_dir():
+            path.unlink()
+        elif any(path.iterdir()):
+            shutil.rmtree(path)
 
 
 WITH_CODE = [page for page in RECIPES if page.is_relative_to(DOCS) and blocks(page, "python")]

@@ -328,10 +328,12 @@ def test_post_takes_all_views(tmp_path):
         "post", path, "-o", out, "--overwrite", "--do", "mlaa-depth"
     )
     assert run("post", path, "-o", out, "--overwrite", "--do", "fxaa").status == 0
-    run("post", path, "-o", tmp_path / "out.png", "--do", "fxaa")
-    for layer in ("left", "right"):
-        shown = exr.read_image(tmp_path / f"out.{layer}.png")
-        np.testing.assert_allclose(shown, exr.read_image(out, layer), atol=0.01)
+    for suffix, bits, near in (("png", 8, 0.01), ("tif", 16, 1e-3), ("tif", 32, 1e-3)):
+        picture = (tmp_path / f"out.{suffix}", "--bits", bits, "--overwrite")
+        assert run("post", path, "--do", "fxaa", "-o", *picture).status == 0
+        for layer in ("left", "right"):
+            shown = exr.read_image(tmp_path / f"out.{layer}.{suffix}")
+            np.testing.assert_allclose(shown, exr.read_image(out, layer), atol=near)
 
 
 @pytest.mark.parametrize(
@@ -406,6 +408,12 @@ def test_each_view_gets_a_png_and_is_scored_against_the_truth_for_its_eye(tmp_pa
     for view in ("left", "right"):
         shown = exr.read_image(tmp_path / f"out.{view}.png")
         np.testing.assert_allclose(shown, exr.read_image(out, view), atol=0.01)
+    pictures = run("blur", path, "-o", tmp_path / "two.tif", "--png", *few).out.split()
+    assert [name.rpartition("/")[2] for name in pictures] == [
+        f"two.{view}.{suffix}" for suffix in ("tif", "png") for view in ("left", "right")
+    ]
+    for picture, view in zip(pictures, ("left", "right") * 2, strict=True):
+        np.testing.assert_allclose(exr.read_image(picture), exr.read_image(out, view), atol=0.01)
     one = run("blur", path, "-o", tmp_path / "one.png", "--truth", path, "--views", "right", *few)
     assert one.out.splitlines()[-2].split()[:2] == ["input", "inf"]
     assert (tmp_path / "one.png").exists()
@@ -417,7 +425,7 @@ def test_a_sequence_of_views_becomes_png_files_or_a_result(tmp_path):
         stereo(tmp_path / f"in.{number:04d}.exr", own=("depth", "vectors"))
     names = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.png")
     more = ("--truth", tmp_path / "in.####.exr", "--result", tmp_path / "result")
-    assert "8 bits do not hold" in refused("blur", *names, *more, *few)
+    assert "pictures do not hold" in refused("blur", *names, *more, *few)
     beside = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--png")
     made = run("blur", *beside, *more, *few)
     assert made.status == 0, made.err

@@ -28,9 +28,9 @@ def add_view_option(parser: Any, what: str) -> None:
 def add_color_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of how colors are shown; `check_colors` and `shown_colors` read them."""
     group = parser.add_argument_group(
-        "colors of previews, scores and reports; an EXR keeps its own"
+        "colors of pictures, scores and reports; an .exr and floats in a .tif keep their own"
     )
-    add_view_option(group, "PNG, scores and --result")
+    add_view_option(group, "pictures, scores and --result")
     group.add_argument(
         "--color-space",
         metavar="NAME",
@@ -55,8 +55,8 @@ def check_colors(arguments: argparse.Namespace) -> None:
     if not _shows_any(arguments):
         option = "--view" if arguments.view else "--color-space"
         raise CommandError(
-            f"{option}: is for previews and scores, and an EXR keeps its colors; add --png or "
-            "--truth, or leave it out."
+            f"{option}: is for pictures and scores, and an .exr and floats in a .tif keep their "
+            "colors; add --png or --truth, or leave it out."
         )
 
 
@@ -80,6 +80,9 @@ def shown_colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str
 
 
 def _shows_any(arguments: argparse.Namespace) -> bool:
-    """Whether a command writes a preview or scores."""
-    png = arguments.png or arguments.output.suffix.lower() == ".png"
-    return bool(png or arguments.truth is not None)
+    """Whether a command writes scores, or a picture as a screen shows it."""
+    from jaxblur import exr
+
+    output, bits = arguments.output, arguments.bits
+    shown = output.suffix.lower() in exr.BITS and exr.bits_of(output, bits) != exr.LINEAR_BITS
+    return bool(shown or arguments.png or arguments.truth is not None)

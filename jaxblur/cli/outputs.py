@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import itertools
 import logging
 import pathlib
 import re
@@ -18,7 +19,6 @@ from .loading import Loaded
 
 LOG = logging.getLogger("jaxblur")
 
-PNG_TRANSFORM = "8-bit sRGB, clipped to 0..1"
 BLURRED = "jaxblur:blurred"
 """Header attribute: the color channels that were blurred, by this and by earlier runs."""
 
@@ -43,8 +43,16 @@ def add_output_option(parser: argparse.ArgumentParser) -> None:
         type=file_path,
         required=True,
         metavar="OUT",
-        help=f".exr, or .png ({PNG_TRANSFORM}), of several views one for each: OUT.left.png; never "
-        "an input",
+        help=".exr; or a picture, of several views one for each (OUT.left.png): .png or .jpg as a "
+        "screen shows it (sRGB, clipped to 0..1), .tif with the linear light as floats; never an "
+        "input",
+    )
+    parser.add_argument(
+        "--bits",
+        type=int,
+        choices=(8, 16, 32),
+        help="of a channel of pictures: .png 8 or 16, .tif 8, 16 (as a screen shows it) or 32 "
+        "(linear light), .jpg 8 (default: 8, and 32 of .tif)",
     )
 
 
@@ -53,61 +61,77 @@ def add_png_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--png",
         action="store_true",
-        help="write OUT.png beside OUT.exr too, of several views one for each: OUT.left.png",
+        help="write OUT.png beside OUT too, of several views one for each: OUT.left.png",
     )
 
 
-def check_output(output: pathlib.Path) -> None:
-    """Reject the name of an output that cannot be written.
+def check_output(arguments: argparse.Namespace) -> None:
+    """Reject an output that cannot be written.
 
     Raises:
         CommandError: another format, or there is no such folder, or it is not writable.
+        ValueError: a format has no such ``--bits``.
     """
+    from jaxblur import exr
+
+    output = arguments.output
     if output.is_dir():
         raise CommandError(f"{output}: is a folder; give a file name.")
-    if output.suffix.lower() not in (".exr", ".png"):
-        raise CommandError(f"{output}: can write .exr and .png only; change the extension.")
+    if output.suffix.lower() not in exr.WRITABLE:
+        raise CommandError(
+            f"{output}: can write {', '.join(exr.WRITABLE)} only; change the extension."
+        )
+    pictures = pictures_of(arguments, output)
+    if arguments.bits is not None and not pictures:
+        raise CommandError("--bits: is for pictures, and an .exr keeps its types; leave it out.")
+    for picture in pictures:
+        exr.bits_of(picture, arguments.bits)
     check_parent(output)
 
 
-def writes_png(arguments: argparse.Namespace) -> bool:
-    """Whether a frame becomes a ``.png``, alone or beside an ``.exr``."""
-    beside: bool = getattr(arguments, "png", False)
-    return beside or arguments.output.suffix.lower() == ".png"
-
-
-def files_of(arguments: argparse.Namespace, output: Any, names: Sequence[str | None]) -> list[Any]:
-    """The files of a frame: the output and, with ``--png``, the preview beside it.
+def pictures_of(arguments: argparse.Namespace, output: Any) -> list[Any]:
+    """The pictures that a frame without views becomes: OUT if it is none, and OUT.png with --png.
 
     Args:
         arguments: of the command.
         output: a path, or the `jaxblur.sequence.FrameNames` of a sequence.
-        names: of its views, of which each gets a ``.png`` of its own if there are several.
+    """
+    suffix = arguments.output.suffix.lower()
+    pictures = [] if suffix == ".exr" else [output]
+    if getattr(arguments, "png", False) and suffix != ".png":
+        pictures.append(output.with_suffix(".png"))
+    return pictures
+
+
+def files_of(arguments: argparse.Namespace, output: Any, names: Sequence[str | None]) -> list[Any]:
+    """The files of a frame: the output and, with ``--png``, the picture beside it.
+
+    Args:
+        arguments: of the command.
+        output: a path, or the `jaxblur.sequence.FrameNames` of a sequence.
+        names: of its views, of which each gets a picture of its own if there are several.
 
     Returns:
-        Paths, or names of sequences: an ``.exr`` first, and the ``.png`` files in the order of the
-        views.
+        Paths, or names of sequences: an ``.exr`` first, then the pictures of each format in the
+        order of the views.
 
     Raises:
         CommandError: the name of a view cannot stand in that of a file.
     """
     from jaxblur.sequence import with_view
 
-    alone = arguments.output.suffix.lower() == ".png"
-    files = [] if alone else [output]
-    if not writes_png(arguments):
-        return files
-    picture = output if alone else output.with_suffix(".png")
-    if len(names) < 2:
-        return [*files, picture]
+    files = [output] if arguments.output.suffix.lower() == ".exr" else []
+    pictures = pictures_of(arguments, output)
+    if len(names) < 2 or not pictures:
+        return [*files, *pictures]
     # Names come from a file that may be crafted, and must not lead to another folder.
     for name in names:
         if not re.fullmatch(r"[\w-]+", str(name)):
             raise CommandError(
-                f"{arguments.output}: a .png is named after its view, and {name!r} is no name for "
-                "a file; choose one view with --views NAME."
+                f"{arguments.output}: a picture is named after its view, and {name!r} is no name "
+                "for a file; choose one view with --views NAME."
             )
-    return [*files, *(with_view(picture, str(name)) for name in names)]
+    return [*files, *(with_view(each, str(name)) for each in pictures for name in names)]
 
 
 def write(
@@ -132,28 +156,46 @@ def write(
     # Once the first file is there, the others, of the same pixels, belong beside it: an input that
     # changes after that is not used any more.
     unchanged = made[0][0].states
-    pictures = [output for output in outputs if output.suffix.lower() == ".png"]
+    pictures = [output for output in outputs if output.suffix.lower() != ".exr"]
     if len(pictures) < len(outputs):
         _write_exr(arguments, outputs[0], provenance, views.merged(made), unchanged)
         unchanged = None
-    for output, (loaded, image) in zip(pictures, made if pictures else (), strict=True):
-        _write_png(output, provenance, loaded, image, unchanged)
+    # The views, once for each format.
+    for output, (loaded, image) in zip(pictures, itertools.cycle(made), strict=False):
+        _write_picture(arguments, output, provenance, loaded, image, unchanged)
         unchanged = None
-    if pictures:
-        plain = made[0][0].colors.view is None
-        LOG.info(".png: %s", PNG_TRANSFORM if plain else "8 bit, in that view")
+    for suffix, output in {output.suffix.lower(): output for output in pictures}.items():
+        LOG.info("%s: %s", suffix, _transform(arguments, output, made[0][0].colors))
 
 
-def _write_png(
-    output: pathlib.Path, notes: Mapping[str, str], loaded: Loaded, image: Any, unchanged: Any
-) -> None:
-    """Write the picture of a frame, or of a view, as a screen shows it."""
+def _transform(arguments: argparse.Namespace, picture: pathlib.Path, colors: Any) -> str:
+    """What the values of a picture are, in words."""
     from jaxblur import exr
 
-    colors = loaded.colors
-    words = {} if colors.is_identity else {exr.COLORS: colors.words}
-    shown = colors.light(loaded.picture(image))
-    exr.write_image(output, shown, attributes=dict(notes) | words, unchanged=unchanged)
+    bits = exr.bits_of(picture, arguments.bits)
+    if bits == exr.LINEAR_BITS:
+        return "linear light of the frame, 32-bit float"
+    if colors.view is not None:
+        return f"{bits} bit, in that view"
+    return f"{bits}-bit sRGB, clipped to 0..1"
+
+
+def _write_picture(
+    arguments: argparse.Namespace,
+    output: pathlib.Path,
+    notes: Mapping[str, str],
+    loaded: Loaded,
+    image: Any,
+    unchanged: Any,
+) -> None:
+    """Write the picture of a frame, or of a view: light as it is, or as a screen shows it."""
+    from jaxblur import exr
+
+    picture, colors = loaded.picture(image), loaded.colors
+    if exr.bits_of(output, arguments.bits) != exr.LINEAR_BITS:
+        picture = colors.light(picture)
+        notes = dict(notes) | ({} if colors.is_identity else {exr.COLORS: colors.words})
+    exr.write_image(output, picture, attributes=notes, unchanged=unchanged, bits=arguments.bits)
 
 
 def _write_exr(

@@ -89,7 +89,7 @@ def _checked(arguments: argparse.Namespace, asked: Choice) -> _Frame:
     """Check the files of a frame before any work."""
     from jaxblur import exr
 
-    outputs.check_output(arguments.output)
+    outputs.check_output(arguments)
     _check_neighbors(arguments, asked)
     read_files = _sources(arguments)
     for source in read_files:

@@ -41,9 +41,9 @@ def add_options(parser: argparse.ArgumentParser, blurs: bool = True) -> None:
         type=channel_names,
         metavar="all|NAME[,NAME]",
         help="views to work on, each by its own depth and vectors; an .exr has the layout of the "
-        "input, a .png holds one view: OUT.left.png, OUT.right.png (default: all that have color, "
-        "unless --layer or channels are given); where %%V in the names of files stands for a view, "
-        "their names (default left,right)",
+        "input, a picture holds one view: OUT.left.png, OUT.right.png (default: all that have "
+        "color, unless --layer or channels are given); where %%V in the names of files stands for "
+        "a view, their names (default left,right)",
     )
     if not blurs:
         return

@@ -20,7 +20,8 @@ and listing do not load jax; only `read_frame` does, at its end.
 Files are opened by `opening`, listed by `listing`, and their pixels read by `channels`; `choose`,
 `passes`, `cameras`, `color` and `cryptomatte` find what channels and headers mean; `checks` and
 `convert` make of stored values those of a frame. `read` puts frames together, `deep` the layers of
-deep files. `write` writes files, `write_like` those that keep what a model holds, over `output`.
+deep files. `write` writes files, `write_like` those that keep what a model holds, `pictures` PNG,
+TIFF and JPEG, over `output`; `notes` holds metadata that a format has no place for.
 
 Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
 and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
@@ -75,6 +76,7 @@ from .listing import (
 from .opening import FileStates as FileStates
 from .output import has_its_end as has_its_end
 from .passes import choose_passes as choose_passes
+from .pictures import BITS as BITS, LINEAR_BITS as LINEAR_BITS, bits_of as bits_of
 from .ranks import (
     ChannelChange as ChannelChange,
     Ranks as Ranks,
@@ -91,6 +93,7 @@ from .read import (
 )
 from .survey import count_not_finite as count_not_finite, measure_speeds as measure_speeds
 from .write import (
+    WRITABLE as WRITABLE,
     refuse_overwrite as refuse_overwrite,
     write_channels as write_channels,
     write_frame as write_frame,

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
+from .notes import described
 from .opening import escaped, open_input, pending_message
 
 LONGEST_ARRAY = 100_000
@@ -104,7 +105,7 @@ def inspect(path: PathLike) -> FileInfo:
     """List parts, channels, windows, compression and metadata; read no pixels.
 
     Args:
-        path: an EXR, PNG, TIFF or HDR file.
+        path: an EXR, PNG, TIFF, JPEG or HDR file.
 
     Returns:
         The listing.
@@ -165,10 +166,11 @@ def _describe_part(spec: Any, index: int) -> Part:
 
 
 def _attributes(spec: Any) -> dict[str, Any]:
-    return {
+    stored = {
         escaped(a.name): _plain(a.value) if a.type.arraylen <= LONGEST_ARRAY else str(a.type)
         for a in spec.extra_attribs
     }
+    return stored | described(stored)
 
 
 def _levels(count: Any) -> int:

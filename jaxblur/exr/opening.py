@@ -12,7 +12,7 @@ import OpenImageIO as oiio
 
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
-EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".hdr")
+EXTENSIONS = (".exr", ".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr")
 
 IMAGE_SIZE_LIMIT_MB = 4096
 LONGEST_MESSAGE = 400

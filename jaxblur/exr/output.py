@@ -1,7 +1,7 @@
 """Headers and writers of OpenImageIO, with checks that opening, writing and closing succeeded."""
 
 import contextlib
-import os
+import pathlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -10,9 +10,15 @@ import numpy as np
 import OpenImageIO as oiio
 
 from .._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
+from .listing import inspect
+from .notes import is_whole
 from .opening import open_input, pending_message
 
-PNG_END = b"IEND\xaeB`\x82"
+LAST_BYTES = {
+    ".png": b"IEND\xaeB`\x82",
+    ".jpg": b"\xff\xd9",
+    ".jpeg": b"\xff\xd9",
+}
 HALF_MAX = 65504.0
 # These attributes describe how a model is stored, which may change; with `textureformat` the writer
 # would expect all levels of a mip-mapped picture, and OpenEXR keeps `version` for itself.
@@ -70,13 +76,16 @@ def has_its_end(path: PathLike) -> bool:
     """Whether a file that was written here has not lost its end; all else is not looked at.
 
     Args:
-        path: an EXR or a PNG.
+        path: an EXR, PNG, TIFF or JPEG.
     """
-    if os.fspath(path).lower().endswith(".png"):
+    suffix = pathlib.Path(path).suffix.lower()
+    if suffix in LAST_BYTES:
         with open(path, "rb") as file:
-            return file.read().endswith(PNG_END)
+            return file.read().endswith(LAST_BYTES[suffix])
     try:
-        return _last_row_is_there(path)
+        # The header of a TIFF is behind its pixels, and may end in the description.
+        described = suffix == ".exr" or is_whole(inspect(path).parts[0].attributes)
+        return described and _last_row_is_there(path)
     except JaxblurIOError:
         return False
 

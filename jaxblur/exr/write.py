@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import OpenImageIO as oiio
 
-from jaxblur import srgb, vectors
+from jaxblur import vectors
 from jaxblur._util.atomic import replacing
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
@@ -19,6 +19,7 @@ from .color import COLORS, Conversion, check_color_space, check_view, conversion
 from .listing import inspect
 from .opening import FileStates, open_input
 from .output import STORAGE, check, clamp_half, set_attributes, set_formats, writer
+from .pictures import BITS, LINEAR_BITS, bits_of, write_picture
 from .ranks import ChannelChange
 from .write_like import write_like
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
     from jaxblur.frame import Frame
 
+WRITABLE = (".exr", *BITS)
+"""Extensions of images that can be written."""
 COLOR_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 
@@ -47,6 +50,7 @@ def write_image(
     decoded: Float[np.ndarray, "height width stored"] | None = None,
     color_space: str | None = None,
     view: str | None = None,
+    bits: int | None = None,
 ) -> None:
     """Write an image, alone or in place of the color of another file.
 
@@ -54,11 +58,13 @@ def write_image(
     timecode, channel names and types are those of that file, and all its other channels and parts
     are copied bit for bit; its compression is kept if it is lossless and replaced by zip otherwise.
     Of a mip-mapped file level 0 is written, and a warning says so.
-    A ``.png`` gets 8-bit sRGB of the color without alpha, clipped to 0..1, converted from the color
-    space of ``like`` (`jaxblur.exr.conversion_of`); its text ``jaxblur:colors`` says how.
+    Pictures of integers (``.png``, ``.jpg``, ``.tif`` with 8 or 16 bits) get sRGB of the color
+    without alpha, clipped to 0..1, converted from the color space of ``like``
+    (`jaxblur.exr.conversion_of`); their text ``jaxblur:colors`` says how. A ``.tif`` of floats, the
+    default, gets the image as it is.
 
     Args:
-        path: ``.exr`` or ``.png`` to write.
+        path: ``.exr``, ``.png``, ``.tif``, ``.tiff``, ``.jpg`` or ``.jpeg`` to write.
         image: (H, W, C) linear light; JAX arrays are accepted.
         like: EXR file whose color channels the image replaces.
         extra: "drop" leaves out all channels and parts of ``like`` that are not color.
@@ -75,15 +81,17 @@ def write_image(
         changes: other values for pixels of further channels of ``like``, such as the ranks of a
             Cryptomatte; these channels are written even with ``extra="drop"``.
         decoded: `Buffers.decoded` of ``like``, which need not be decoded again then.
-        color_space: color space of the image, for ``.png``; that of ``like`` if None.
-        view: OpenColorIO view for ``.png``, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB
-            if None.
+        color_space: color space of the image, for pictures of integers; that of ``like`` if None.
+        view: OpenColorIO view for them, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB if
+            None.
+        bits: of a channel of a picture: 8 or 16 of ``.png``, 8, 16 or 32 (float) of ``.tif``, 8 of
+            ``.jpg``; the default of the format if None: 8, and 32 of ``.tif``.
 
     Raises:
         JaxblurIOError: the image is not finite, sizes or channel counts differ, ``path`` is
             ``like`` itself or exists without ``overwrite``, an input has changed, or writing
             failed. Then no partial file is left, and an older file stays as it was.
-        ValueError: an argument is wrong.
+        ValueError: an argument is wrong, or the format has no such `bits`.
     """
     if extra not in ("keep", "drop"):
         raise ValueError(f"`extra` must be keep or drop; got {extra!r}.")
@@ -91,16 +99,21 @@ def write_image(
         raise ValueError(f"`nonfinite` must be keep or zero; got {nonfinite!r}.")
     if not overwrite and os.path.exists(path):
         raise JaxblurIOError(path, "exists; pass overwrite=True to replace it.")
+    kind = pathlib.Path(path).suffix.lower()
+    if bits is not None and kind == ".exr":
+        raise ValueError("`bits` is for pictures; give `dtype` for an .exr.")
     pixels = _checked_image(path, image, like)
     last_check = unchanged.check if unchanged is not None else None
-    kind = pathlib.Path(path).suffix.lower()
-    if kind == ".png":
-        colors = _colors(like, layer, color_channels, color_space, view)
-        if not colors.is_identity:
-            attributes = {**(attributes or {}), COLORS: colors.words}
-        _write_png(path, colors.light(pixels), attributes, last_check)
+    if kind in BITS:
+        depth = bits_of(path, bits)
+        if depth != LINEAR_BITS:
+            colors = _colors(like, layer, color_channels, color_space, view)
+            pixels = colors.light(pixels)
+            if not colors.is_identity:
+                attributes = {**(attributes or {}), COLORS: colors.words}
+        write_picture(path, pixels, depth, attributes, last_check)
     elif kind != ".exr":
-        raise JaxblurIOError(path, "can write .exr and .png only; change the extension.")
+        raise JaxblurIOError(path, f"can write {', '.join(WRITABLE)} only; change the extension.")
     elif like is None:
         names = COLOR_NAMES.get(pixels.shape[2]) or [f"channel{i}" for i in range(pixels.shape[2])]
         channels = {name: pixels[..., index] for index, name in enumerate(names)}
@@ -134,23 +147,6 @@ def _checked_image(path: PathLike, image: Any, like: PathLike | None) -> np.ndar
             path, f"{count} values of the image are NaN or infinite; nothing was written.{hint}"
         )
     return pixels
-
-
-def _write_png(
-    path: PathLike,
-    image: np.ndarray,
-    attributes: Mapping[str, str | int | float] | None,
-    last_check: Callable[[], None] | None,
-) -> None:
-    count = image.shape[2]
-    color = image[..., : 1 if count in (1, 2) else 3]
-    height, width, channels = color.shape
-    spec = oiio.ImageSpec(width, height, channels, "uint8")
-    spec.attribute("oiio:ColorSpace", "sRGB")
-    set_attributes(spec, attributes)
-    pixels = np.round(srgb.encode(np.clip(color, 0, 1)) * 255).astype(np.uint8)
-    with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
-        check(path, output, output.write_image(pixels))
 
 
 def _colors(

@@ -253,7 +253,7 @@ def _file_subject(
 ) -> Any:
     from jaxblur import bench
 
-    colors = {"color_space": None, "view": None, "png": False}
+    colors = {"color_space": None, "view": None, "png": False, "bits": None}
     named = argparse.Namespace(**vars(arguments) | colors | {"input": path, "truth": truth})
     loaded = load(named, Settings())
     buffers = loaded.buffers

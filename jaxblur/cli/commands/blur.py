@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from .. import isolation, mattes, outputs, posts, results, sequence, strength, views
+from .. import isolation, mattes, outputs, posts, results, sequence, several, strength, views
 from ..arguments import (
     CommandError,
     add_command,
@@ -43,12 +43,15 @@ def add_parser(commands: Any) -> None:
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = lambda: f"{describe_filters()}\n\n{describe_presets()}"
-    parser.instead_of_more = _as_sequence
+    parser.instead_of_more = _together
     parser.add_argument(
-        "input",
+        "inputs",
         type=file_path,
+        nargs="+",
+        metavar="input",
         help="frame with color, depth and vectors, or frames: name.####.exr, name.%%04d.exr; "
-        "name.%%V.####.exr has a file for each view",
+        "name.%%V.####.exr has a file for each view; several files, or one, become files of their "
+        "names where OUT is a folder",
     )
     outputs.add_output_option(parser)
     existing = parser.add_mutually_exclusive_group()
@@ -102,14 +105,9 @@ def _add_neighbor_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _as_sequence(given: Sequence[str], left: Sequence[str]) -> str:
-    """How to give several frames, which a shell pattern may have listed."""
-    pattern = sequence.pattern_of((*left, *given[:1]))
-    layers = "; layers of one frame: `jaxblur layers FRONT.exr BACK.exr -o OUT.exr`"
-    return (
-        "`jaxblur blur` takes one frame, or the names of a sequence as one pattern, in quotes: "
-        f"'{pattern or 'name.####.exr'}'{'' if pattern else layers}"
-    )
+def _together(given: Sequence[str], left: Sequence[str]) -> str:
+    """How to give frames that options separate."""
+    return "give all frames one after the other, and the options before or behind them"
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +132,9 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Blur one frame, or a sequence; see `add_parser`."""
+    """Blur one frame, several, or a sequence; see `add_parser`."""
+    places = several.places_of(arguments)
+    arguments.input, arguments.output = places[0]
     if arguments.isolate and not isolation.in_child:
         return isolation.run(arguments)
     settle(arguments)
@@ -156,6 +156,8 @@ def run(arguments: argparse.Namespace) -> int:
         if sequence.is_asked_for(arguments):
             return sequence.blur_sequence(arguments, asked)
         sequence.refuse_options(arguments)
+        if len(places) > 1:
+            return several.blur_several(arguments, asked, places)
         return blur_single(arguments, asked)
 
 

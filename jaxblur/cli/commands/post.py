@@ -112,7 +112,7 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
 
     from ..sequence import frames_on_disk, refuse_shell_pattern
 
-    check_output(arguments.output)
+    check_output(arguments)
     depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
@@ -179,6 +179,7 @@ def _run_one(job: _Job) -> None:
             layer=eye.layer,
             color_channels=names if like else None,
             unchanged=states if output == files[0] else None,
+            bits=arguments.bits,
         )
         print_line(f"{output}")
 

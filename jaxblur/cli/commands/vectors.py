@@ -19,7 +19,7 @@ from ..arguments import (
 from ..console import print_line, print_table
 from ..shutter import add_exposure, add_fps
 from ..sources import add_max_displace
-from . import vectors_conform
+from . import vectors_conform, vectors_draw
 
 
 def add_parser(commands: Any) -> None:
@@ -27,7 +27,8 @@ def add_parser(commands: Any) -> None:
     parser = add_command(
         commands,
         "vectors",
-        "Rank sign, unit and span of motion vectors by warping the next frame back.",
+        "Rank sign, unit and span of motion vectors by warping the next frame back, test them, or "
+        "draw them.",
         run,
     )
     parser.epilog = (
@@ -40,6 +41,22 @@ def add_parser(commands: Any) -> None:
     # `run` demands it: the parser would, before it names a second file without the option.
     parser.add_argument(
         "--next", type=file_path, metavar="FILE", help="the following frame (required to rank)"
+    )
+    parser.add_argument(
+        "--draw",
+        type=file_path,
+        metavar="OUT.png",
+        help="draw instead, over the picture, how far points move while the shutter is open for "
+        "--shutter (needs matplotlib)",
+    )
+    parser.add_argument(
+        "--preset",
+        type=preset_name,
+        metavar="NAME",
+        help="with --draw: convention of the vectors (default auto: by channel names)",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="with --draw: replace an existing picture"
     )
     parser.add_argument(
         "--conform",
@@ -61,7 +78,9 @@ def add_parser(commands: Any) -> None:
         help="names of the vector channels, where they are not recognized",
     )
     parser.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
-    add_exposure(parser, "--shutter", "exposure that the vectors might span", default=0.5)
+    add_exposure(
+        parser, "--shutter", "exposure that the vectors might span, or to draw", default=0.5
+    )
     add_fps(parser)
     add_max_displace(parser)
     parser.add_argument(
@@ -75,7 +94,10 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Rank the conventions of one pair of frames; see `add_parser`."""
+    """Rank the conventions of one pair of frames, test one, or draw; see `add_parser`."""
+    vectors_draw.check(arguments)
+    if arguments.draw is not None:
+        return vectors_draw.run(arguments)
     if arguments.conform is not None:
         _check_beside(arguments, "next", "follows")
         _check_beside(arguments, "previous", "comes before")

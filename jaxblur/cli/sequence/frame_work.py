@@ -88,7 +88,7 @@ class FrameWork:
             ]
 
     def _check_files(self, job: Any, eyes: list[argparse.Namespace]) -> None:
-        """Reject a frame whose views are others than those that the .png files are named after."""
+        """Reject a frame whose views are others than those that pictures are named after."""
         from jaxblur.exr import JaxblurIOError
         from jaxblur.sequence import parse_names
 
@@ -97,7 +97,7 @@ class FrameWork:
         if [each.path(job.frame).name for each in files] != [path.name for path in job.outputs]:
             raise JaxblurIOError(
                 eyes[0].input,
-                "has other views than the first frame, after whose views the .png files are named; "
+                "has other views than the first frame, after whose views pictures are named; "
                 "choose views that all frames have with --views, or blur this frame alone.",
             )
 

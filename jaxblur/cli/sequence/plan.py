@@ -25,7 +25,18 @@ LOG = logging.getLogger("jaxblur")
 # parameters counts by its contents.
 NOT_A_CHOICE = frozenset(
     {
-        *("command", "run", "verbose", "quiet", "input", "output", "frames", "cut", "parameters"),
+        *(
+            "command",
+            "run",
+            "verbose",
+            "quiet",
+            "input",
+            "inputs",
+            "output",
+            "frames",
+            "cut",
+            "parameters",
+        ),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
         # A file of cameras counts by its contents.
@@ -67,17 +78,17 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
             also = "" if name == "subframes" else ", which finds its neighbors by itself"
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
     sources = _inputs(arguments)
-    outputs.check_output(arguments.output)
+    outputs.check_output(arguments)
     frames = arguments.frames or frames_on_disk(sources["input"])
     if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
         raise CommandError(
             f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
             "truth.####.exr."
         )
-    if arguments.result is not None and arguments.output.suffix.lower() == ".png":
+    if arguments.result is not None and arguments.output.suffix.lower() != ".exr":
         raise CommandError(
             f"--result: the frames of a sequence are read back from {arguments.output}, and "
-            "8 bits do not hold what was scored; write .exr, with --png for a .png beside each."
+            "pictures do not hold what was scored; write .exr, with --png for a .png beside each."
         )
     for frame in arguments.cut:
         if frame not in frames:
@@ -146,11 +157,11 @@ def _placed(arguments: argparse.Namespace, path: pathlib.Path) -> pathlib.Path:
 def _views(
     arguments: argparse.Namespace, sources: Mapping[str, Any], frames: Sequence[int]
 ) -> list[str]:
-    """The views after which .png files are named: those of the first frame that can be read."""
+    """The views after which pictures are named: those of the first frame that can be read."""
     from jaxblur.exr import JaxblurIOError
     from jaxblur.sequence import at_frame
 
-    for frame in frames if outputs.writes_png(arguments) else ():
+    for frame in frames if outputs.pictures_of(arguments, arguments.output) else ():
         here = {"input": at_frame(sources, frame)["input"]}
         # A frame that cannot be read is reported when it is its turn.
         with contextlib.suppress(JaxblurIOError):
