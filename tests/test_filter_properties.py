@@ -53,7 +53,7 @@ def run(name: str, frame: jaxblur.Frame, **changes: Any) -> np.ndarray:
     return np.asarray(FILTERS[name](changed, parameters, settings=settings))
 
 
-@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("name", with_slow(FILTERS, "layered"))
 @properties()
 @given(frame=frames())
 def test_the_result_is_an_average_of_the_colors(name, frame):

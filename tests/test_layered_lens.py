@@ -102,7 +102,8 @@ def test_what_is_in_focus_and_at_rest_stays_bit_for_bit():
     assert not np.allclose(blurred[:, 3:20], frame.color[:, 3:20], atol=0.05)
 
 
-@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["native", "xla"])
 def test_a_closed_aperture_is_no_lens_bit_for_bit(backend):
     settings = dataclasses.replace(SETTINGS, backend=backend)
     closed = dataclasses.replace(LENS, f_number=1e6)

@@ -34,7 +34,7 @@ def straight_path(frame):
             Shutter(0.2, 1.1, curve_of("triangle"), -0.8),
             *("float64", True, {"border": "clamp", "fetch": "nearest", "samples": 14}),
         ),
-        (Shutter.gaussian(readout=1.5), "float32", False, {}),
+        slow(Shutter.gaussian(readout=1.5), "float32", False, {}),
     ],
 )
 def test_equals_plain_loops(shutter, dtype, curved, options):
