@@ -182,21 +182,16 @@ def test_glsl_equals_jax(name, fetch, page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
-def test_wgsl_equals_jax_through_vulkan(name):
+@pytest.mark.parametrize(
+    ("run", "print_form"),
+    [(run_vulkan, print_wgsl), (run_hlsl, print_hlsl)],
+    ids=["wgsl through Vulkan", "hlsl"],
+)
+def test_shaders_equal_jax_outside_a_browser(run, print_form, name):
     settings = settings_of(name)
     graph = graph_of(filter_info(name), settings=settings, channels=3)
     for frame in frames():
-        found = run_vulkan(graph, print_wgsl(graph), planes_of(frame))
-        check(found, expected(name, frame, settings))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FILTERS)
-def test_hlsl_equals_jax(name):
-    settings = settings_of(name)
-    graph = graph_of(filter_info(name), settings=settings, channels=3)
-    for frame in frames():
-        found = run_hlsl(graph, print_hlsl(graph), planes_of(frame))
+        found = run(graph, print_form(graph), planes_of(frame))
         check(found, expected(name, frame, settings))
 
 

@@ -25,18 +25,8 @@ LOG = logging.getLogger("jaxblur")
 # parameters counts by its contents.
 NOT_A_CHOICE = frozenset(
     {
-        *(
-            "command",
-            "run",
-            "verbose",
-            "quiet",
-            "input",
-            "inputs",
-            "output",
-            "frames",
-            "cut",
-            "parameters",
-        ),
+        *("command", "run", "verbose", "quiet", "input", "inputs", "output"),
+        *("frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
         *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
         # A file of cameras counts by its contents.
