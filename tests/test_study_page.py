@@ -155,21 +155,25 @@ def test_an_observer_who_prefers_the_lower_flip(tmp_path, beside):
 @pytest.mark.slow
 def test_a_pair_is_seen_again_and_a_study_may_stop_early(tmp_path):
     folder = write_folder(tmp_path / "in")
-    run("study", folder, "-o", tmp_path / "study.html", "--seconds", "0.05", "--catch", "0")
+    run("study", folder, "-o", tmp_path / "study.html", "--seconds", "5", "--catch", "0")
     with chromium() as browser, browser.new_context() as context:
         page = context.new_page()
+        # The page's time stands still but for `run_for`, so no answer comes too early or late.
+        page.clock.install(time=0)
         page.goto((tmp_path / "study.html").as_uri())
+        page.clock.pause_at(60_000)
         page.get_by_role("button", name="Begin").click()
         assert "Please give a name" in page.locator("#missing").inner_text()
         page.get_by_label("Name or initials").fill("ann")
         page.keyboard.press("Enter")
         assert page.locator("#one").is_disabled(), "no answer before both were seen"
         page.keyboard.press("1")
-        page.wait_for_selector("body[data-state=choosing]")
+        while page.locator("#one").is_disabled():
+            page.clock.run_for(1000)
         assert page.locator("#progress").inner_text() == "Pair 1 of 6"
         page.keyboard.press("Space")
         page.keyboard.press("2")
-        page.wait_for_selector("body[data-state=showing]")
+        assert page.locator("#progress").inner_text() == "Pair 2 of 6"
         page.locator("#early").click()
         rows = list(csv.DictReader(page.locator("#csv").input_value().splitlines()))
     assert len(rows) == 1 and rows[0]["views"] == "2"
