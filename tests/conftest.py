@@ -52,8 +52,8 @@ if "XLA_FLAGS" not in os.environ:
     # users do; a slow test (tests/test_xla_defaults.py) does so for filters and native code.
     os.environ["XLA_FLAGS"] = quick_xla()
 
-# GCC takes two thirds of the time at this level, and kernels run nearly as fast.
-os.environ.setdefault("JAXBLUR_KERNEL_FLAGS", "-O1")
+# GCC takes half of the time at this level, and kernels run nearly as fast.
+os.environ.setdefault("JAXBLUR_KERNEL_FLAGS", "-Og")
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 if COMPILED not in os.environ:

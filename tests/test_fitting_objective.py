@@ -88,7 +88,7 @@ def _loss_with_taps(frame, noise, over):
 
 
 @pytest.mark.slow
-def test_gradient_equals_finite_differences_and_reverse_mode():
+def test_gradient_equals_finite_differences():
     with jax.enable_x64(True):
         batches = batches_of(as_float64(random_frame(SHAPE)), dtype=np.float64)
         free, fixed = to_free("guertin2014", TRUE, FREE), {"eta": 0.95}
@@ -104,7 +104,6 @@ def test_gradient_equals_finite_differences_and_reverse_mode():
         numeric = [(whole(free + s) - whole(free - s)) / 2e-6 for s in step]
         assert np.abs(numeric).min() > 1e-8
         np.testing.assert_allclose(gradient, numeric, rtol=1e-4)
-        np.testing.assert_allclose(gradient, jax.grad(whole)(free), rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -95,7 +95,7 @@ def test_standard_errors_predict_the_spread_over_pictures():
     generator = np.random.default_rng(0)
     frame, truth = planted_pair()
     found, predicted = [], []
-    for _ in range(12):
+    for _ in range(8):
         # Independent noise in the truth is what a standard error should account for.
         noisy = np.asarray(truth) + 0.01 * generator.normal(size=truth.shape).astype(np.float32)
         result = noisy_fit(frame, noisy, free=("kappa", "depth_sharpness"))

@@ -5,7 +5,7 @@ import pytest
 from tests.exr_files import plain_frame, write_single
 from tests.fuzz import __main__ as fuzz, make_corpus, mutants, rules
 
-MUTANTS, SEED = 100, 20
+MUTANTS, SEED = 50, 20
 
 CORPUS = sorted(make_corpus.CORPUS.glob("*.exr"))
 

@@ -255,12 +255,6 @@ def test_an_edge_that_moves_over_a_pixel_covers_it_for_part_of_the_time():
     np.testing.assert_allclose(image[1, :, 1], passed - entered, atol=0.5 / 128 + 1e-3)
 
 
-def test_equals_accumulation_at_pixel_centers():
-    scene = scenes.SCENES["crossing"]()
-    image = motion_paths(scene, size=SIZE)
-    assert float(metrics.psnr(image, center_truth(scene))) > 40
-
-
 def test_equals_antialiased_accumulation():
     scene = scenes.SCENES["crossing"]()
     image = motion_paths(scene, size=SIZE, spatial_samples=16)

@@ -11,7 +11,7 @@ from jaxblur.scenes.keyframes import light_at, light_table, needed_pieces, posit
 pytestmark = pytest.mark.slow
 
 SIZE = (36, 64)
-SEEDS = 12
+SEEDS = 6
 
 
 def rms(difference):

@@ -17,7 +17,7 @@ TESTS = {
     # One frame for each filter in float64, which XLA computes.
     "tests/test_filters.py": "plain_loops and (shape0 or shape60 or shape64) or vmap_equals",
     "tests/test_native.py": "size0 or size4",
-    "tests/test_filter_gradients.py": "pixel_velocity and kink or native-expected",
+    "tests/test_filter_gradients.py": "pixel_velocity and kink",
 }
 """Expressions of pytest that choose tests by file."""
 
