@@ -2,12 +2,14 @@
 
 import importlib
 import math
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxblur
+from jaxblur.frame import without_alpha
 from jaxblur.gradient_check import GradientCheck, GradientRow, check, measure
 from tests.helpers import random_frame
 
@@ -157,3 +159,24 @@ def test_all_parts_of_a_moved_frame_are_the_filter():
     assert found[0] == pytest.approx(blurred(still), rel=1e-5)
     assert found[1] == pytest.approx(blurred(moved), rel=1e-5)
     assert abs(found[2] - found[0]) > 1e-4 * found[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cube_over_crates", "falling_cubes"])
+def test_away_from_the_true_motion_derivatives_do_what_the_picture_does(name):
+    data = Path(__file__).parent / "data"
+    frame = jaxblur.read_frame(data / f"{name}_frame_0011.exr", shutter=0.5)
+    truth = jaxblur.exr.read_image(data / f"{name}_truth_0011.exr")
+    frame, truth = without_alpha(frame, truth)
+    moves = away.directions(frame)
+    wanted = ("0.1: object", "-0.1: object", "off by 0.1")
+    moves = {name: move for name, move in moves.items() if name.startswith(wanted)}
+    table = jaxblur.check_gradient(
+        *("layered", frame, truth), draws=4, scales=(), object=None, directions=moves
+    )
+    assert table.cosine("off by 0.1: twist") > 0.99
+    objects = [row for row in table.rows if "object" in row.name]
+    assert len(objects) == 4
+    for row in objects:
+        assert row.determined, str(table)
+        assert abs(row.ratio - 1) < 0.15 + 3 * row.ratio_error, str(table)
