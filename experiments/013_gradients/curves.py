@@ -30,40 +30,52 @@ class Curve(NamedTuple):
     """What is varied.
 
     Attributes:
-        scene: of the catalogue.
+        frame: name of its file.
         title: for tables and figure.
         places: at which derivative and difference are taken, evenly spaced.
-        twist: of the added camera motion; None to scale all velocities.
+        quantity: an object's or a camera's, which is added to; None to scale all velocities.
         within: whether pixels count that are slower than the floor somewhere on the range.
     """
 
-    scene: str
+    frame: str
     title: str
     places: np.ndarray
-    twist: str | None = None
+    quantity: str | None = None
     within: bool = True
 
 
-SCALES, TURNS = np.linspace(0.7, 1.3, 31), np.linspace(-0.18, 0.18, 19)
+SCALES = np.linspace(0.7, 1.3, 31)
+TURNS, MORE_TURNS = np.linspace(-0.18, 0.18, 19), np.linspace(-0.24, 0.24, 25)
 CURVES = (
-    Curve("flagpole", "flagpole, all velocities times", SCALES),
-    Curve("rotor_over_city", "rotor_over_city, all velocities times", SCALES),
+    Curve("catalogue_flagpole", "flagpole, all velocities times", SCALES),
+    Curve("catalogue_rotor_over_city", "rotor_over_city, all velocities times", SCALES),
     Curve(
-        *("rotor_over_city", "the same, without pixels that cross half a pixel", SCALES),
+        *("catalogue_rotor_over_city", "the same, without pixels that cross half a pixel", SCALES),
         within=False,
     ),
     Curve(
-        "wheels_at_three_depths", "wheels_at_three_depths, rotation x", TURNS, "twist rotation x"
+        *("catalogue_wheels_at_three_depths", "wheels_at_three_depths, rotation x"),
+        *(TURNS, "twist rotation x"),
+    ),
+    Curve(
+        *("rendered_flagpole", "rendered flagpole, rotation z"),
+        *(MORE_TURNS, "twist rotation z"),
+    ),
+    Curve(
+        *("rendered_cube_over_crates", "rendered cube_over_crates, direction of the cube"),
+        *(MORE_TURNS, "object direction"),
     ),
 )
 
 
 def motions(curve: Curve, frame: jaxblur.Frame) -> dict[str, Callable[[Any], jaxblur.Frame]]:
     """For each place of the curve a function of a small change there."""
-    if curve.twist is None:
+    if curve.quantity is None:
         return {f"{s:g}": quantities.scaled(frame, float(s)) for s in curve.places}
-    turned = quantities.camera_directions(frame, camera_velocity)[curve.twist]
-    return {f"{x:g}": lambda change, x=float(x): turned(x + change) for x in curve.places}
+    directions = quantities.object_directions(frame, "fastest")
+    directions |= quantities.camera_directions(frame, camera_velocity)
+    moved = directions[curve.quantity]
+    return {f"{x:g}": lambda change, x=float(x): moved(x + change) for x in curve.places}
 
 
 def counted(curve: Curve, frame: jaxblur.Frame) -> jax.Array:
@@ -76,7 +88,7 @@ def counted(curve: Curve, frame: jaxblur.Frame) -> jax.Array:
 
 def measure(curve: Curve, frames: Path) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives and differences by the place, at every place."""
-    frame, truth = read(frames / f"catalogue_{curve.scene}.npz")
+    frame, truth = read(frames / f"{curve.frame}.npz")
     counts = counted(curve, frame)
 
     def error(image: jax.Array, truth: jax.Array) -> jax.Array:
@@ -94,7 +106,7 @@ def measure(curve: Curve, frames: Path) -> tuple[np.ndarray, np.ndarray]:
     )
     rows = table.rows[-len(curve.places) :]
     # Changes of a scale are relative to it.
-    unit = curve.places if curve.twist is None else 1
+    unit = curve.places if curve.quantity is None else 1
     return tuple(np.array([[r.reverse, r.difference] for r in rows]).T / unit)
 
 
@@ -108,9 +120,9 @@ def main() -> None:
     parser = output_parser("Derivative and difference along a range.")
     parser.add_argument("--frames", type=Path, metavar="DIR", required=True)
     options = parser.parse_args()
-    figure = show.new_figure(9.5, 5.6)
+    figure = show.new_figure(9.5, 8.4)
     rows = []
-    for curve, axes in zip(CURVES, figure.subplots(2, 2).flat, strict=True):
+    for curve, axes in zip(CURVES, figure.subplots(3, 2).flat, strict=True):
         derivative, difference = measure(curve, options.frames)
         middle = len(curve.places) // 2
         for part in (slice(0, middle + 1), slice(middle, None)):
