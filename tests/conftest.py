@@ -48,12 +48,16 @@ def quick_xla() -> str:
 
 
 if "XLA_FLAGS" not in os.environ:
-    # Tests compile far longer than they run. `XLA_FLAGS= JAXBLUR_KERNEL_FLAGS= pytest` compiles as
-    # users do; a slow test (tests/test_xla_defaults.py) does so for filters and native code.
+    # Tests compile far longer than they run. `XLA_FLAGS= JAXBLUR_KERNEL_FLAGS= PJRT_NPROC= pytest`
+    # runs as for users; tests/test_xla_defaults.py does so for filters and native code.
     os.environ["XLA_FLAGS"] = quick_xla()
 
 # GCC takes half of the time at this level, and kernels run nearly as fast.
 os.environ.setdefault("JAXBLUR_KERNEL_FLAGS", "-Og")
+
+# pytest -n runs a process on each core; more threads would wait for each other. With several run
+# the slow test above and tests/test_devices.py.
+os.environ.setdefault("PJRT_NPROC", "1")
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 if COMPILED not in os.environ:

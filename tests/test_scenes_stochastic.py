@@ -39,13 +39,13 @@ def truth():
 
 def test_error_falls_with_the_number_of_samples(truth):
     scene = scenes.SCENES["crossing"]()
-    errors = [rms(stochastic(scene, samples=n, size=SIZE) - truth) for n in (1, 4, 16)]
-    assert errors[0] > 2 * errors[1] > 4 * errors[2], errors
+    errors = [rms(stochastic(scene, samples=n, size=SIZE) - truth) for n in (1, 16)]
+    assert errors[0] > 4 * errors[1], errors
 
 
 def test_the_mean_over_seeds_is_the_true_image(truth):
     scene = scenes.SCENES["crossing"]()
-    images = [stochastic(scene, samples=2, size=SIZE, seed=seed) for seed in range(SEEDS)]
+    images = [stochastic(scene, samples=1, size=SIZE, seed=seed) for seed in range(SEEDS)]
     noise = rms(images[0] - truth)
     # The mean of n independent errors falls as 1/sqrt(n); the factor 1.5 allows for chance.
     assert rms(sum(images) / SEEDS - truth) < 1.5 * noise / SEEDS**0.5
@@ -54,7 +54,7 @@ def test_the_mean_over_seeds_is_the_true_image(truth):
 
 def test_one_seed_gives_one_image():
     scene = scenes.SCENES["crossing"]()
-    first, second = (stochastic(scene, samples=2, size=SIZE, seed=5) for _ in range(2))
+    first, second = (stochastic(scene, samples=1, size=SIZE, seed=5) for _ in range(2))
     assert first.dtype == jnp.float32
     np.testing.assert_array_equal(first, second)
 
@@ -80,8 +80,8 @@ def test_time_is_weighted_by_the_shutter_function():
 
 def test_placement_moves_the_exposure():
     scene = scenes.SCENES["crossing"]()
-    leading = stochastic(scene, 0.0, 0.5, 2, SIZE, placement="leading")
-    np.testing.assert_array_equal(leading, stochastic(scene, 0.25, 0.5, 2, SIZE))
+    leading = stochastic(scene, 0.0, 0.5, 1, SIZE, placement="leading")
+    np.testing.assert_array_equal(leading, stochastic(scene, 0.25, 0.5, 1, SIZE))
 
 
 def test_a_closed_shutter_gives_the_sharp_image():

@@ -1,6 +1,6 @@
-"""Filters, native code and gradients, compiled as for users: by XLA and by the C++ compiler.
+"""Filters, native code and gradients, compiled as for users, on all cores.
 
-The other tests let both compile fast (tests/conftest.py).
+The other tests let XLA and the C++ compiler compile fast, and run on one (tests/conftest.py).
 """
 
 import os
@@ -24,10 +24,10 @@ TESTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", TESTS)
-def test_passes_as_users_compile(file):
+def test_passes_as_for_users(file):
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", file, "-k", TESTS[file]],
-        env=os.environ | {"XLA_FLAGS": "", build.MORE_FLAGS: ""},
+        env=os.environ | {"XLA_FLAGS": "", build.MORE_FLAGS: "", "PJRT_NPROC": ""},
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
