@@ -320,6 +320,7 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, cl
     count, intervals = settings["samples"] // 3, len(owners) - 1
     behind, known = background_of(color, paths, depth, owners, at, parameters, clock)
     total, weights = np.zeros(color.shape[2]), 0.0
+    rear, rear_weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
         first = int((2 * i + 1) * (intervals / 2) / count)
         pair = []
@@ -336,8 +337,15 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, cl
         shares = lands * (1 - other_lands * hidden), other_lands * (1 - lands * other_hidden)
         empty = (1 - lands) * (1 - other_lands)
         filled = (1 - empty) / max(sum(shares), 1e-6)
-        total += filled * (shares[0] * seen + shares[1] * other_seen) + empty * behind
-        weights += filled * sum(shares) + empty * known
+        shares = filled * shares[0], filled * shares[1]
+        total += shares[0] * seen + shares[1] * other_seen + empty * behind
+        weights += sum(shares) + empty * known
+        nearer = (depth[at] - np.array([z, other_z])) * parameters["surface_sharpness"]
+        shares = shares * np.clip(1.5 - nearer, 0, 1)
+        rear += shares[0] * seen + shares[1] * other_seen + empty * behind
+        rear_weights += sum(shares) + empty * known
+    share = (count - weights) / max(rear_weights, 1e-3)
+    total, weights = total + share * rear, weights + share * rear_weights
     return total / weights if weights > 1e-3 else color[at]
 
 

@@ -7,7 +7,8 @@ stretches, need nothing.) In order of preference, the color is that
 
 1. that which the caller gives (`hidden`, for experiments);
 2. that of the nearest surface that a neighbor frame has there, as far as it is in the same light
-   there, see `.neighbors.light_of`;
+   there, see `.neighbors.light_of`, and as far as the pixel's own surface could not be hidden in
+   that frame by something else, see `_doubt`;
 3. that of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
    right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
    from which the pixel's own motion would have come lies behind, for otherwise nothing was
@@ -30,7 +31,7 @@ from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
 from .clock import Maps, Span, Times, time_of_owners
-from .neighbors import Neighbor
+from .neighbors import Neighbor, displacement_at
 from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
 
@@ -133,10 +134,15 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         time = time_of_owners(k, plan.maps, own.x, at.row, images.clock, inputs.span)
         owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
         found = _of_frame(at, images, own, time, around, parameters)
-        borrowed = Found(found.color, jnp.zeros_like(own.x), jnp.full_like(own.x, jnp.inf))
+        zero = jnp.zeros_like(own.x)
+        borrowed = Found(found.color, zero, jnp.full_like(own.x, jnp.inf))
         for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
-            ways = [(jnp.zeros_like(own.x),) * 2, (own.x, own.y), around.velocity]
-            borrowed = of_neighbor(at, neighbor, time, its_time - time, ways, borrowed)
+            own_place = place_at(own, its_time - time, its_time)
+            around_x, around_y = around.velocity
+            around_place = (its_time - time) * around_x, (its_time - time) * around_y
+            starts = [(zero, zero), own_place, around_place]
+            doubt = _doubt(at, neighbor, own, own_place, found.known, parameters)
+            borrowed = of_neighbor(at, neighbor, time, starts, borrowed, doubt)
         color, known = mixed(found, borrowed)
         if images.hidden is not None:
             times = lax.div(images.hidden.height, height)
@@ -240,20 +246,60 @@ def _of_frame(
     return Found(around.color, known, jnp.full_like(own.x, jnp.inf))
 
 
+def place_at(path: Path, away: Array, its_time: Array) -> Vector:
+    """Where the point that is at the pixel at a time is in a neighbor: an offset from the pixel.
+
+    Args:
+        path: of the point.
+        away: from that time to the time of the neighbor, half exposures.
+        its_time: of the neighbor.
+    """
+    opening = path.bend_x - path.x, path.bend_y - path.y
+    closing = path.bend_x + path.x, path.bend_y + path.y
+    return displacement_at((*opening, *closing), away, 1 / jnp.abs(its_time))
+
+
+def _doubt(
+    at: At,
+    neighbor: Neighbor,
+    own: Path,
+    own_place: Vector,
+    uncovered: Array,
+    parameters: LayeredParameters,
+) -> Callable[[Array], Array]:
+    """How little a point of a neighbor counts, from 0 to 1, by its log depth.
+
+    Where something nearer hides the place that the pixel's own surface has in the neighbor, what
+    lies farther may be hidden by that surface at the pixel; unless the frame itself shows that the
+    surface has moved away.
+    """
+    texel = find_texel(at, *own_place, neighbor.color, _INSIDE, held=True)
+    depth = neighbor.motion.read_texel(texel.number)[4]
+    hides = texel.counts & (depth < own.log_depth - 1 / parameters.surface_sharpness)
+    covered = jnp.where(hides, 1 - uncovered, 0)
+
+    def of_depth(depth: Array) -> Array:
+        farther = parameters.front_sharpness * (depth - own.log_depth)
+        return covered * jnp.clip(farther, 0, 1)
+
+    return of_depth
+
+
 def of_neighbor(
     at: At,
     neighbor: Neighbor,
     time: Array,
-    away: Array,
-    ways: Sequence[Vector],
+    starts: Sequence[Vector],
     found: Found,
+    doubt: Callable[[Array], Array] | None = None,
     aside: Callable[[Array], Vector] | None = None,
 ) -> Found:
     """The nearest point of a neighbor frame that is at the pixel at a time, if it has one.
 
-    A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. Each way is
-    a velocity at which a point may have come: from where it leads, ``s <- p - d(s, t)`` is taken
-    a few times. ``aside`` is the further displacement of a log depth that a lens causes.
+    A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. From
+    each start, an offset from the pixel at which the point may be, ``s <- p - d(s, t)`` is taken a
+    few times. ``doubt`` tells how little a log depth counts, from 0 to 1. ``aside`` is the further
+    displacement of a log depth that a lens causes.
     """
 
     def displacement(x: Array, y: Array) -> tuple[Array, ...]:
@@ -268,8 +314,7 @@ def of_neighbor(
             across, down = across + aside_x, down + aside_y
         return texel.number, across, down, depth
 
-    for way_x, way_y in ways:
-        x, y = (way * away for way in (way_x, way_y))
+    for x, y in starts:
         for _ in range(STEPS):
             _, across, down, _ = displacement(x, y)
             x, y = -across, -down
@@ -278,6 +323,7 @@ def of_neighbor(
         miss = jnp.square(x - texel.across + across) + jnp.square(y - texel.down + down)
         takes = texel.counts & (miss <= MISS**2) & (depth < found.depth)
         color, light = neighbor.color.read_texel(number), neighbor.light_at(texel.row, texel.column)
+        light = light if doubt is None else light * (1 - doubt(depth))
         found = Found(
             tuple(jnp.where(takes, *pair) for pair in zip(color, found.color, strict=True)),
             jnp.where(takes, light, found.known),
