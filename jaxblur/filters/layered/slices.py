@@ -150,9 +150,10 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         color, known, rear, light = slice_at(i)
         light = jnp.ones_like(known) if light is None else light
         sums = SliceSums(Sums(color, known), rear, light)
-        if limit is None:
-            return sums
-        return jax.tree.map(lambda value: jnp.where(i < limit, value, 0), sums)
+        if limit is not None:
+            taken = i < limit
+            sums = jax.tree.map(lambda value: jnp.where(taken, value, 0), sums)
+        return sums
 
     sums = sum_over(plan.slices, slice_of_time, limit)
     (state,) = images.states.here()
