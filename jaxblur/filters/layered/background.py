@@ -35,8 +35,11 @@ from .neighbors import Neighbor, displacement_at
 from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
 
-REACH = 16
-"""Pixels to each side that are searched for a surface behind."""
+DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
+"""Pixels to each side at which a surface behind is looked for."""
+
+TIMES = (-2 / 3, 0, 2 / 3)
+"""Times at which its color is read."""
 
 STEPS = 2
 """Steps by which the point of a neighbor frame is found that is at a pixel at a time."""
@@ -187,30 +190,41 @@ def _around(
     height, width = size
     behind = own.log_depth + 1 / parameters.surface_sharpness
 
-    def places(side: tuple[int, int], distance: Array) -> tuple[Array, Array, Array]:
-        whole = distance.astype(jnp.int32)
-        row, column = at.row + side[0] * whole, at.column + side[1] * whole
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        return jnp.where(inside, row, at.row), jnp.where(inside, column, at.column), inside
-
-    def step(k: Array | int, distances: list[Array]) -> list[Array]:
-        tried = jnp.asarray(k + 1, own.x.dtype)
-        results = []
-        for side, distance in zip(_SIDES, distances, strict=True):
-            row, column, inside = places(side, tried)
+    def first_behind(side: tuple[int, int]) -> Array:
+        distance = jnp.zeros_like(own.x)
+        for tried in DISTANCES:
+            row, column = at.row + tried * side[0], at.column + tried * side[1]
+            inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
             depth = images.paths.read(row, column, 3)[2]
-            first = (distance == 0) & inside & (depth > behind)
-            results.append(jnp.where(first, tried, distance))
-        return results
+            takes = (distance == 0) & inside & (depth > behind)
+            distance = jnp.where(takes, jnp.asarray(tried, distance.dtype), distance)
+        return distance
 
-    distances = lax.fori_loop(0, REACH, step, [jnp.zeros_like(own.x)] * len(_SIDES))
+    def mean_color(offset: Vector, velocity: Vector) -> tuple[Array, ...]:
+        """Of a surface, blurred along its motion as far as that does not leave what is behind."""
+        colors, count = [jnp.zeros_like(own.x)] * images.color.channels, jnp.zeros_like(own.x)
+        for time in TIMES:
+            x, y = (part + time * speed for part, speed in zip(offset, velocity, strict=True))
+            texel = find_texel(at, x, y, images.color, _INSIDE, held=True)
+            depth = images.paths.read_texel(texel.number, 3)[2]
+            counts = texel.counts & (depth > behind)
+            color = images.color.read_texel(texel.number)
+            colors = [a + jnp.where(counts, b, 0) for a, b in zip(colors, color, strict=True)]
+            count = count + jnp.where(counts, jnp.ones_like(count), 0)
+        inverse = 1 / jnp.maximum(count, 1)
+        return tuple(inverse * channel for channel in colors)
+
     shares, colors, velocities = [], [], []
-    for side, distance in zip(_SIDES, distances, strict=True):
+    for side in _SIDES:
+        distance = first_behind(side)
         exists = distance > 0
         shares.append(jnp.where(exists, 1 / jnp.where(exists, distance, 1) ** 2, 0))
-        row, column, _ = places(side, distance)
-        colors.append(images.color.read(row, column))
-        velocities.append(images.paths.read(row, column, 2))
+        offset = side[1] * distance, side[0] * distance
+        texel = find_texel(at, *offset, images.color, held=True)
+        velocity = images.paths.read_texel(texel.number, 2)
+        colors.append(mean_color(offset, velocity))
+        velocities.append(velocity)
     total = _sum(shares)
     inverse = 1 / jnp.where(total > 0, total, 1)
 

@@ -19,14 +19,12 @@ from jaxtyping import Array, Int
 from ...kernels import At, Image, Outcome, sum_over
 from ..parameters import LayeredParameters
 from .aperture import Aperture
-from .background import Found, Plan, Sums, mixed, of_neighbor, place_at
+from .background import DISTANCES, Found, Plan, Sums, mixed, of_neighbor, place_at
 from .clock import Span, Times, time_of_owners
 from .neighbors import Neighbor
 from .owners import MISSES, point_of
 from .paths import Path
 
-DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
-"""Pixels to each side at which an owner is looked for."""
 
 _SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
