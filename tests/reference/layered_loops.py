@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
 AROUND = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
 
 
@@ -274,11 +275,17 @@ def background_of(color, paths, depth, owners, place, parameters, clock):
     missing = [k for k, image in enumerate(owners) if (row, column) not in image]
     total, share = np.zeros(color.shape[2]), 0.0
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        for distance in range(1, 17):
+        for distance in DISTANCES:
             at = row + down * distance, column + right * distance
             inside = 0 <= at[0] < depth.shape[0] and 0 <= at[1] < depth.shape[1]
             if inside and depth[at] > z + 1 / parameters["surface_sharpness"]:
-                total += color[at] / distance**2
+                seen = []
+                for t in (-2 / 3, 0, 2 / 3):
+                    x, y = np.array([right, down]) * distance + t * paths[at][:2]
+                    where, counts = at_texel(row, column, x, y, depth.shape, "skip")
+                    if counts and depth[where] > z + 1 / parameters["surface_sharpness"]:
+                        seen.append(color[where])
+                total += np.mean(seen, axis=0) / distance**2
                 share += 1 / distance**2
                 break
     exists = [True, *((row, column) in image for image in owners), True]

@@ -25,7 +25,6 @@ from .neighbors import Neighbor
 from .owners import MISSES, point_of
 from .paths import Path
 
-
 _SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
