@@ -10,9 +10,10 @@ stretches, need nothing.) In order of preference, the color is that
    there, see `.neighbors.light_of`, and as far as the pixel's own surface could not be hidden in
    that frame by something else, see `_doubt`;
 3. that of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
-   right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
-   from which the pixel's own motion would have come lies behind, for otherwise nothing was
-   uncovered: a surface stretches, or comes in over the border of the frame.
+   right, left, below, and above, each weighted by ``1 / distance^2`` and blurred along its own
+   motion. It counts as far as the point from which the pixel's own motion would have come lies
+   behind, for otherwise nothing was uncovered: a surface stretches, or comes in over the border of
+   the frame.
 
 One color is kept for each pixel, the mean over the times at which it is missing. It is
 differentiable in the colors; where they are taken from is held.
@@ -169,7 +170,7 @@ class Around(NamedTuple):
     """The surfaces behind a pixel's own that are nearest to it in the frame.
 
     Attributes:
-        color: their mean.
+        color: their mean, each blurred along its motion.
         exists: whether there are any.
         velocity: their mean velocity.
     """
