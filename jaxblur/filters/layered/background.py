@@ -202,7 +202,7 @@ def _around(
             distance = jnp.where(takes, jnp.asarray(tried, distance.dtype), distance)
         return distance
 
-    def mean_color(offset: Vector, velocity: Vector) -> tuple[Array, ...]:
+    def mean_color(offset: Vector, velocity: Sequence[Array]) -> tuple[Array, ...]:
         """Of a surface, blurred along its motion as far as that does not leave what is behind."""
         colors, count = [jnp.zeros_like(own.x)] * images.color.channels, jnp.zeros_like(own.x)
         for time in TIMES:
