@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from .layered_loops import (
+    DISTANCES,
     at_texel,
     clip01,
     level_of,
@@ -20,7 +21,6 @@ from .layered_loops import (
 )
 
 GOLDEN = 1.32471795724474602596
-DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
 
 
 def on_disc(a, b):

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
 AROUND = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
 
 
@@ -274,11 +275,17 @@ def background_of(color, paths, depth, owners, place, parameters, clock):
     missing = [k for k, image in enumerate(owners) if (row, column) not in image]
     total, share = np.zeros(color.shape[2]), 0.0
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        for distance in range(1, 17):
+        for distance in DISTANCES:
             at = row + down * distance, column + right * distance
             inside = 0 <= at[0] < depth.shape[0] and 0 <= at[1] < depth.shape[1]
             if inside and depth[at] > z + 1 / parameters["surface_sharpness"]:
-                total += color[at] / distance**2
+                seen = []
+                for t in (-2 / 3, 0, 2 / 3):
+                    x, y = np.array([right, down]) * distance + t * paths[at][:2]
+                    where, counts = at_texel(row, column, x, y, depth.shape, "skip")
+                    if counts and depth[where] > z + 1 / parameters["surface_sharpness"]:
+                        seen.append(color[where])
+                total += np.mean(seen, axis=0) / distance**2
                 share += 1 / distance**2
                 break
     exists = [True, *((row, column) in image for image in owners), True]
@@ -320,6 +327,7 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, cl
     count, intervals = settings["samples"] // 3, len(owners) - 1
     behind, known = background_of(color, paths, depth, owners, at, parameters, clock)
     total, weights = np.zeros(color.shape[2]), 0.0
+    rear, rear_weights = np.zeros(color.shape[2]), 0.0
     for i in range(count):
         first = int((2 * i + 1) * (intervals / 2) / count)
         pair = []
@@ -336,8 +344,15 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, cl
         shares = lands * (1 - other_lands * hidden), other_lands * (1 - lands * other_hidden)
         empty = (1 - lands) * (1 - other_lands)
         filled = (1 - empty) / max(sum(shares), 1e-6)
-        total += filled * (shares[0] * seen + shares[1] * other_seen) + empty * behind
-        weights += filled * sum(shares) + empty * known
+        shares = filled * shares[0], filled * shares[1]
+        total += shares[0] * seen + shares[1] * other_seen + empty * behind
+        weights += sum(shares) + empty * known
+        nearer = (depth[at] - np.array([z, other_z])) * parameters["surface_sharpness"]
+        shares = shares * np.clip(1.5 - nearer, 0, 1)
+        rear += shares[0] * seen + shares[1] * other_seen + empty * behind
+        rear_weights += sum(shares) + empty * known
+    share = (count - weights) / max(rear_weights, 1e-3)
+    total, weights = total + share * rear, weights + share * rear_weights
     return total / weights if weights > 1e-3 else color[at]
 
 

@@ -7,11 +7,13 @@ stretches, need nothing.) In order of preference, the color is that
 
 1. that which the caller gives (`hidden`, for experiments);
 2. that of the nearest surface that a neighbor frame has there, as far as it is in the same light
-   there, see `.neighbors.light_of`;
+   there, see `.neighbors.light_of`, and as far as the pixel's own surface could not be hidden in
+   that frame by something else, see `_doubt`;
 3. that of the frame itself: the mean of the surfaces behind the pixel's own that are nearest to the
-   right, left, below, and above, each weighted by ``1 / distance^2``. It counts as far as the point
-   from which the pixel's own motion would have come lies behind, for otherwise nothing was
-   uncovered: a surface stretches, or comes in over the border of the frame.
+   right, left, below, and above, each weighted by ``1 / distance^2`` and blurred along its own
+   motion. It counts as far as the point from which the pixel's own motion would have come lies
+   behind, for otherwise nothing was uncovered: a surface stretches, or comes in over the border of
+   the frame.
 
 One color is kept for each pixel, the mean over the times at which it is missing. It is
 differentiable in the colors; where they are taken from is held.
@@ -30,12 +32,15 @@ from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
 from .clock import Maps, Span, Times, time_of_owners
-from .neighbors import Neighbor
+from .neighbors import Neighbor, displacement_at
 from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
 
-REACH = 16
-"""Pixels to each side that are searched for a surface behind."""
+DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
+"""Pixels to each side at which a surface behind is looked for."""
+
+TIMES = (-2 / 3, 0, 2 / 3)
+"""Times at which its color is read."""
 
 STEPS = 2
 """Steps by which the point of a neighbor frame is found that is at a pixel at a time."""
@@ -133,10 +138,15 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         time = time_of_owners(k, plan.maps, own.x, at.row, images.clock, inputs.span)
         owner = read_owner(at, images.owners, k, own, plan.coding, (height, width))
         found = _of_frame(at, images, own, time, around, parameters)
-        borrowed = Found(found.color, jnp.zeros_like(own.x), jnp.full_like(own.x, jnp.inf))
+        zero = jnp.zeros_like(own.x)
+        borrowed = Found(found.color, zero, jnp.full_like(own.x, jnp.inf))
         for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
-            ways = [(jnp.zeros_like(own.x),) * 2, (own.x, own.y), around.velocity]
-            borrowed = of_neighbor(at, neighbor, time, its_time - time, ways, borrowed)
+            own_place = place_at(own, its_time - time, its_time)
+            around_x, around_y = around.velocity
+            around_place = (its_time - time) * around_x, (its_time - time) * around_y
+            starts = [(zero, zero), own_place, around_place]
+            doubt = _doubt(at, neighbor, own, own_place, found.known, parameters)
+            borrowed = of_neighbor(at, neighbor, time, starts, borrowed, doubt)
         color, known = mixed(found, borrowed)
         if images.hidden is not None:
             times = lax.div(images.hidden.height, height)
@@ -160,7 +170,7 @@ class Around(NamedTuple):
     """The surfaces behind a pixel's own that are nearest to it in the frame.
 
     Attributes:
-        color: their mean.
+        color: their mean, each blurred along its motion.
         exists: whether there are any.
         velocity: their mean velocity.
     """
@@ -181,30 +191,41 @@ def _around(
     height, width = size
     behind = own.log_depth + 1 / parameters.surface_sharpness
 
-    def places(side: tuple[int, int], distance: Array) -> tuple[Array, Array, Array]:
-        whole = distance.astype(jnp.int32)
-        row, column = at.row + side[0] * whole, at.column + side[1] * whole
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        return jnp.where(inside, row, at.row), jnp.where(inside, column, at.column), inside
-
-    def step(k: Array | int, distances: list[Array]) -> list[Array]:
-        tried = jnp.asarray(k + 1, own.x.dtype)
-        results = []
-        for side, distance in zip(_SIDES, distances, strict=True):
-            row, column, inside = places(side, tried)
+    def first_behind(side: tuple[int, int]) -> Array:
+        distance = jnp.zeros_like(own.x)
+        for tried in DISTANCES:
+            row, column = at.row + tried * side[0], at.column + tried * side[1]
+            inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
             depth = images.paths.read(row, column, 3)[2]
-            first = (distance == 0) & inside & (depth > behind)
-            results.append(jnp.where(first, tried, distance))
-        return results
+            takes = (distance == 0) & inside & (depth > behind)
+            distance = jnp.where(takes, jnp.asarray(tried, distance.dtype), distance)
+        return distance
 
-    distances = lax.fori_loop(0, REACH, step, [jnp.zeros_like(own.x)] * len(_SIDES))
+    def mean_color(offset: Vector, velocity: Sequence[Array]) -> tuple[Array, ...]:
+        """Of a surface, blurred along its motion as far as that does not leave what is behind."""
+        colors, count = [jnp.zeros_like(own.x)] * images.color.channels, jnp.zeros_like(own.x)
+        for time in TIMES:
+            x, y = (part + time * speed for part, speed in zip(offset, velocity, strict=True))
+            texel = find_texel(at, x, y, images.color, _INSIDE, held=True)
+            depth = images.paths.read_texel(texel.number, 3)[2]
+            counts = texel.counts & (depth > behind)
+            color = images.color.read_texel(texel.number)
+            colors = [a + jnp.where(counts, b, 0) for a, b in zip(colors, color, strict=True)]
+            count = count + jnp.where(counts, jnp.ones_like(count), 0)
+        inverse = 1 / jnp.maximum(count, 1)
+        return tuple(inverse * channel for channel in colors)
+
     shares, colors, velocities = [], [], []
-    for side, distance in zip(_SIDES, distances, strict=True):
+    for side in _SIDES:
+        distance = first_behind(side)
         exists = distance > 0
         shares.append(jnp.where(exists, 1 / jnp.where(exists, distance, 1) ** 2, 0))
-        row, column, _ = places(side, distance)
-        colors.append(images.color.read(row, column))
-        velocities.append(images.paths.read(row, column, 2))
+        offset = side[1] * distance, side[0] * distance
+        texel = find_texel(at, *offset, images.color, held=True)
+        velocity = images.paths.read_texel(texel.number, 2)
+        colors.append(mean_color(offset, velocity))
+        velocities.append(velocity)
     total = _sum(shares)
     inverse = 1 / jnp.where(total > 0, total, 1)
 
@@ -240,20 +261,60 @@ def _of_frame(
     return Found(around.color, known, jnp.full_like(own.x, jnp.inf))
 
 
+def place_at(path: Path, away: Array, its_time: Array) -> Vector:
+    """Where the point that is at the pixel at a time is in a neighbor: an offset from the pixel.
+
+    Args:
+        path: of the point.
+        away: from that time to the time of the neighbor, half exposures.
+        its_time: of the neighbor.
+    """
+    opening = path.bend_x - path.x, path.bend_y - path.y
+    closing = path.bend_x + path.x, path.bend_y + path.y
+    return displacement_at((*opening, *closing), away, 1 / jnp.abs(its_time))
+
+
+def _doubt(
+    at: At,
+    neighbor: Neighbor,
+    own: Path,
+    own_place: Vector,
+    uncovered: Array,
+    parameters: LayeredParameters,
+) -> Callable[[Array], Array]:
+    """How little a point of a neighbor counts, from 0 to 1, by its log depth.
+
+    Where something nearer hides the place that the pixel's own surface has in the neighbor, what
+    lies farther may be hidden by that surface at the pixel; unless the frame itself shows that the
+    surface has moved away.
+    """
+    texel = find_texel(at, *own_place, neighbor.color, _INSIDE, held=True)
+    depth = neighbor.motion.read_texel(texel.number)[4]
+    hides = texel.counts & (depth < own.log_depth - 1 / parameters.surface_sharpness)
+    covered = jnp.where(hides, 1 - uncovered, 0)
+
+    def of_depth(depth: Array) -> Array:
+        farther = parameters.front_sharpness * (depth - own.log_depth)
+        return covered * jnp.clip(farther, 0, 1)
+
+    return of_depth
+
+
 def of_neighbor(
     at: At,
     neighbor: Neighbor,
     time: Array,
-    away: Array,
-    ways: Sequence[Vector],
+    starts: Sequence[Vector],
     found: Found,
+    doubt: Callable[[Array], Array] | None = None,
     aside: Callable[[Array], Vector] | None = None,
 ) -> Found:
     """The nearest point of a neighbor frame that is at the pixel at a time, if it has one.
 
-    A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. Each way is
-    a velocity at which a point may have come: from where it leads, ``s <- p - d(s, t)`` is taken
-    a few times. ``aside`` is the further displacement of a log depth that a lens causes.
+    A point s of the neighbor is there if ``s + d(s, t) = p``, d being its displacement. From
+    each start, an offset from the pixel at which the point may be, ``s <- p - d(s, t)`` is taken a
+    few times. ``doubt`` tells how little a log depth counts, from 0 to 1. ``aside`` is the further
+    displacement of a log depth that a lens causes.
     """
 
     def displacement(x: Array, y: Array) -> tuple[Array, ...]:
@@ -268,8 +329,7 @@ def of_neighbor(
             across, down = across + aside_x, down + aside_y
         return texel.number, across, down, depth
 
-    for way_x, way_y in ways:
-        x, y = (way * away for way in (way_x, way_y))
+    for x, y in starts:
         for _ in range(STEPS):
             _, across, down, _ = displacement(x, y)
             x, y = -across, -down
@@ -278,6 +338,7 @@ def of_neighbor(
         miss = jnp.square(x - texel.across + across) + jnp.square(y - texel.down + down)
         takes = texel.counts & (miss <= MISS**2) & (depth < found.depth)
         color, light = neighbor.color.read_texel(number), neighbor.light_at(texel.row, texel.column)
+        light = light if doubt is None else light * (1 - doubt(depth))
         found = Found(
             tuple(jnp.where(takes, *pair) for pair in zip(color, found.color, strict=True)),
             jnp.where(takes, light, found.known),

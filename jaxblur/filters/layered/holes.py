@@ -19,14 +19,11 @@ from jaxtyping import Array, Int
 from ...kernels import At, Image, Outcome, sum_over
 from ..parameters import LayeredParameters
 from .aperture import Aperture
-from .background import Found, Plan, Sums, mixed, of_neighbor
+from .background import DISTANCES, Found, Plan, Sums, mixed, of_neighbor, place_at
 from .clock import Span, Times, time_of_owners
 from .neighbors import Neighbor
 from .owners import MISSES, point_of
 from .paths import Path
-
-DISTANCES = (1, 2, 3, 4, 6, 8, 11, 16)
-"""Pixels to each side at which an owner is looked for."""
 
 _SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
@@ -172,7 +169,6 @@ def _borrowed(
     point = point_of(images.points, k)
     assert point is not None
     zero = jnp.zeros_like(time)
-    ways = [(zero, zero), *((path.x, path.y) for path in paths)]
     borrowed = Found(found.color, zero, jnp.full_like(time, jnp.inf))
 
     def aside(log_depth: Array) -> tuple[Array, Array]:
@@ -180,5 +176,7 @@ def _borrowed(
         return disc * point[0], disc * point[1]
 
     for neighbor, its_time in zip(images.neighbors, inputs.times, strict=True):
-        borrowed = of_neighbor(at, neighbor, time, its_time - time, ways, borrowed, aside)
+        places = [place_at(path, its_time - time, its_time) for path in paths]
+        starts = [(zero, zero), *places]
+        borrowed = of_neighbor(at, neighbor, time, starts, borrowed, aside=aside)
     return borrowed

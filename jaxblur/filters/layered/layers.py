@@ -9,7 +9,7 @@ where `layered` has to guess it.
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,18 @@ from .clock import time_of_light
 from .filter import Others, check_frames, checked_neighbor, exposed, frames_of, passes_before
 from .owners import RESTS
 from .paths import Path
-from .slices import SMALLEST_WEIGHT, Images, Inputs, Plan, longest_motion, slices_along, slices_at
+from .slices import (
+    SMALLEST_WEIGHT,
+    Images,
+    Inputs,
+    Plan,
+    Sums,
+    filled,
+    longest_motion,
+    mean_of,
+    slices_along,
+    slices_at,
+)
 
 _INSIDE = Settings(border="skip")
 
@@ -86,15 +97,15 @@ class StackSums(NamedTuple):
 
     Attributes:
         front: color of all layers but the last, composited.
-        last: color of the last layer, as far as it is known, seen through the others.
-        known: how much of it is known and seen.
+        last: what is known of the last layer, seen through the others.
+        rear: the part of it that is not in front of the pixel's own surface.
         through: how much of it is seen.
         counts: what the slices count.
     """
 
     front: tuple[Array, ...]
-    last: tuple[Array, ...]
-    known: Array
+    last: Sums
+    rear: Sums
     through: Array
     counts: Array
 
@@ -118,24 +129,25 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
     def slice_of_time(i: Int[Array, ""]) -> StackSums:
         through = jnp.ones_like(images.sharp.here()[0])
         nothing = (jnp.zeros_like(through),) * images.sharp.channels
-        front, last, known, light = nothing, nothing, jnp.zeros_like(through), None
+        front, light = nothing, None
+        last = rear = Sums(nothing, jnp.zeros_like(through))
         counts = through
         for number, (slice_at, holdout) in enumerate(zip(slices, stack.holdouts, strict=True)):
-            seen, share, light = slice_at(i)
+            seen, share, behind, light = slice_at(i)
             if light is not None:
                 # It counts once, whatever the number of layers.
-                seen, share = tuple(channel / light for channel in seen), share / light
-            color = nothing if holdout else tuple(through * channel for channel in seen)
+                seen, share, behind = _times(1 / light, (seen, share, behind))
             if number == len(slices) - 1:
-                last, known = color, through * share
+                last, rear = _times(through, (Sums(seen, share), behind))
                 break
+            color = nothing if holdout else tuple(through * channel for channel in seen)
             front = tuple(a + b for a, b in zip(front, color, strict=True))
             lost = (1 - share) * goes_on(at, images.layers[number], inputs, i, count)
             counts = counts - through * lost
             through = through * (1 - jnp.clip(seen[-1], 0, share) - lost)
-        sums = StackSums(front, last, known, through, counts)
+        sums = StackSums(front, last, rear, through, counts)
         if light is not None:
-            sums = jax.tree.map(lambda value: light * value, sums)
+            sums = _times(light, sums)
         if limit is not None:
             taken = i < limit
             sums = jax.tree.map(lambda value: jnp.where(taken, value, 0), sums)
@@ -146,6 +158,10 @@ def blend_pixel(at: At, images: Stack, inputs: Inputs, stack: StackPlan) -> Outc
     states = [layer.states.here()[0] for layer in images.layers]
     state = functools.reduce(jnp.maximum, states)
     return Outcome(color, where=state != RESTS)
+
+
+def _times(factor: Array, values: Any) -> Any:
+    return jax.tree.map(lambda value: factor * value, values)
 
 
 def blended(
@@ -159,11 +175,10 @@ def blended(
         sharp: the layers at rest, composited.
         holdout: whether the last layer is one.
     """
-    counts, is_known = sums.counts > SMALLEST_WEIGHT, sums.known > SMALLEST_WEIGHT
+    counts = sums.counts > SMALLEST_WEIGHT
     inverse = 1 / jnp.where(counts, sums.counts, 1)
-    share = 1 / jnp.where(is_known, sums.known, 1)
     through = jnp.zeros_like(sums.through) if holdout else sums.through
-    behind = (jnp.where(is_known, a * share, b) for a, b in zip(sums.last, last, strict=True))
+    behind = mean_of(filled(sums.last, sums.rear, sums.through), last)
     return tuple(
         jnp.where(counts, (a + through * b) * inverse, kept)
         for a, b, kept in zip(sums.front, behind, sharp, strict=True)

@@ -6,13 +6,16 @@ before and after it. Along the path of each it guesses which point has moved to 
 inside the slice. A guess has landed if that point's own path carries it to the pixel; of landed
 guesses along different paths the nearest hides the other. Where none has landed, the surface is
 not in the frame, and `.background` stands for it. The result is the mean over the slices, so that
-an object covers a pixel for as long as it is there.
+an object covers a pixel for as long as it is there. A slice of which nothing is known shows
+something that was hidden: it takes the mean of what the pixel shows at other times and that is not
+in front of the pixel's own surface.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
@@ -89,6 +92,20 @@ class Sums(NamedTuple):
     weight: Array
 
 
+class SliceSums(NamedTuple):
+    """What is summed over the slices.
+
+    Attributes:
+        seen: what is known.
+        rear: the part of it that is not in front of the pixel's own surface.
+        light: what the slices count.
+    """
+
+    seen: Sums
+    rear: Sums
+    light: Array
+
+
 class Plan(NamedTuple):
     """What is fixed when the program is traced.
 
@@ -111,12 +128,14 @@ class Slice(NamedTuple):
     Attributes:
         color: times how surely it is known.
         known: how surely, 0 to 1.
+        rear: the part of `color` and `known` that is not in front of the pixel's own surface.
         light: what the slice counts, 1 but for its derivative in the shutter's curve (color and
             `known` have it as a factor); None for the nominal shutter.
     """
 
     color: tuple[Array, ...]
     known: Array
+    rear: Sums
     light: Array | None
 
 
@@ -127,15 +146,37 @@ def blur_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         limit = slices_along(longest_motion(at, images.paths, images.owners, plan), plan)
     slice_at = slices_at(at, images, inputs, plan, limit)
 
-    def slice_of_time(i: Int[Array, ""]) -> Sums:
-        color, known, _ = slice_at(i)
+    def slice_of_time(i: Int[Array, ""]) -> SliceSums:
+        color, known, rear, light = slice_at(i)
+        light = jnp.ones_like(known) if light is None else light
+        sums = SliceSums(Sums(color, known), rear, light)
         if limit is not None:
-            *color, known = [jnp.where(i < limit, value, 0) for value in (*color, known)]
-        return Sums(tuple(color), known)
+            taken = i < limit
+            sums = jax.tree.map(lambda value: jnp.where(taken, value, 0), sums)
+        return sums
 
     sums = sum_over(plan.slices, slice_of_time, limit)
     (state,) = images.states.here()
-    return Outcome(mean_of(sums, images.color.here()), where=state != RESTS)
+    return Outcome(mean_of(filled(*sums), images.color.here()), where=state != RESTS)
+
+
+def filled(seen: Sums, rear: Sums, light: Array) -> Sums:
+    """Sums in which the mean of what is in the rear stands for what is not known.
+
+    What is in front at some time is in the frame, so that what is missing was hidden behind
+    something. Without this a thing that passes in front of it would be seen for too long.
+
+    Args:
+        seen: what is known.
+        rear: the part of it that is not in front of the pixel's own surface.
+        light: what all slices count.
+    """
+    missing = jnp.maximum(light - seen.weight, 0)
+    share = missing / jnp.maximum(rear.weight, SMALLEST_WEIGHT)
+    return Sums(
+        tuple(a + share * b for a, b in zip(seen.color, rear.color, strict=True)),
+        seen.weight + share * rear.weight,
+    )
 
 
 def mean_of(sums: Sums, sharp: Sequence[Array]) -> tuple[Array, ...]:
@@ -195,6 +236,7 @@ def slices_at(
     (noise,) = images.noise.here()
     jitter = noise * parameters.jitter / 2
     inverse_tolerance = 1 / jnp.square(parameters.landing_tolerance)
+    sharpness = parameters.surface_sharpness
     *behind, known = images.background.here()
 
     def make_guess(light: Array, index: Array) -> Guess:
@@ -242,7 +284,17 @@ def slices_at(
             shares[0] * a + shares[1] * b + empty * c
             for a, b, c in zip(before.color, after.color, behind, strict=True)
         ]
-        return Slice(tuple(color), shares[0] + shares[1] + empty * known, light)
+        # A background is behind. A guess is in the rear unless its surface is another, and nearer.
+        rears = [
+            share * jnp.clip(1.5 - sharpness * (own.log_depth - guess.depth), 0, 1)
+            for share, guess in zip(shares, (before, after), strict=True)
+        ]
+        rear_color = [
+            rears[0] * a + rears[1] * b + empty * c
+            for a, b, c in zip(before.color, after.color, behind, strict=True)
+        ]
+        rear = Sums(tuple(rear_color), rears[0] + rears[1] + empty * known)
+        return Slice(tuple(color), shares[0] + shares[1] + empty * known, rear, light)
 
     return slice_at
 
