@@ -80,9 +80,10 @@ def shown_colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str
 
 
 def _shows_any(arguments: argparse.Namespace) -> bool:
-    """Whether a command writes scores, or a picture as a screen shows it."""
+    """Whether a command writes scores, a result, or a picture as a screen shows it."""
     from jaxblur import exr
 
     output, bits = arguments.output, arguments.bits
     shown = output.suffix.lower() in exr.BITS and exr.bits_of(output, bits) != exr.LINEAR_BITS
-    return bool(shown or arguments.png or arguments.truth is not None)
+    seen = (arguments.png, arguments.truth, getattr(arguments, "result", None))
+    return shown or any(seen)

@@ -58,10 +58,10 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         exposed = [_load_views(frame.arguments, asked, frame.eyes) for frame in frames]
         LOG.debug("read in %.2f s", time.perf_counter() - started)
         for frame, own in zip(frames, exposed, strict=True):
-            chosen, made = _make(asked, frame, own)
+            chosen, made, seconds = _make(asked, frame, own)
             rows += _score_rows(frame, chosen, made)
             if arguments.result:
-                shots += _shots(frame, chosen, made)
+                shots += _shots(frame, chosen, made, seconds)
     if rows:
         print_table(SCORE_COLUMNS, rows)
     if shots:
@@ -107,12 +107,13 @@ def _checked(arguments: argparse.Namespace, asked: Choice) -> _Frame:
 
 def _make(
     asked: Choice, frame: _Frame, exposed: list[list[Loaded]]
-) -> tuple[Choice, list[tuple[Loaded, Any]]]:
-    """Blur and write a frame; returns what was run, and each view and its blur."""
+) -> tuple[Choice, list[tuple[Loaded, Any]], float]:
+    """Blur and write a frame; returns what was run, each view and its blur, and the seconds."""
     arguments, eyes, _, files = frame
     started = time.perf_counter()
     chosen, made = _blur_views(arguments, asked, eyes, exposed)
-    LOG.debug("started and blurred in %.2f s", time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    LOG.debug("started and blurred in %.2f s", seconds)
     whole, _ = views.merged(made)
     notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes))
     if arguments.subframes:
@@ -122,7 +123,7 @@ def _make(
     for output in files:
         print_line(f"{output}")
     report_ignored(arguments.input, whole.buffers.ignored)
-    return chosen, made
+    return chosen, made, seconds
 
 
 def _print_plan(asked: Choice, arguments: argparse.Namespace, frames: Sequence[_Frame]) -> None:
@@ -157,7 +158,9 @@ def _score_rows(
     ]
 
 
-def _shots(frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]) -> list[Any]:
+def _shots(
+    frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]], seconds: float
+) -> list[Any]:
     """The shot of each view for `results.write`."""
     shots = []
     for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True):
@@ -166,7 +169,9 @@ def _shots(frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]) -> lis
         title = " ".join(filter(None, (eye.input.name, view)))
         settings = results.settings_of(views.with_samples(eye, chosen))
         picture, sources = loaded.picture(blurred), vars(eye)
-        shots.append(results.make_shot(title, loaded, picture, chosen.name, settings, sources))
+        shots.append(
+            results.make_shot(title, loaded, picture, chosen.name, settings, sources, seconds)
+        )
     return shots
 
 

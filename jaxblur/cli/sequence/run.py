@@ -66,11 +66,15 @@ def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
 
 def _leave_result(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> None:
     """Write the result folder of all frames that are there, if one is asked for."""
-    there = [(run.arguments, job) for run in runs for job in run.done_jobs()]
+    there = [
+        (run.arguments, job, run.records[job.frame].get("seconds", {}).get("blur"))
+        for run in runs
+        for job in run.done_jobs()
+    ]
     if not arguments.result or not there:
         return
-    first, job = there[0]
-    shots = (shot for each, job in there for shot in results.shots_of_frame(each, job))
+    first, job, _ = there[0]
+    shots = (shot for each in there for shot in results.shots_of_frame(*each))
     first = argparse.Namespace(**vars(first) | {"input": job.inputs["input"]})
     results.write(arguments, first, shots)
 
@@ -160,7 +164,7 @@ class _Run:
 
     def _note(self, outcome: Any, tell: Callable[[str], None]) -> None:
         record = self.records[outcome.job.frame]
-        record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
+        record["seconds"] = {k: round(v, 6) for k, v in outcome.seconds.items()}
         with about_frame(outcome.job.frame):
             for level, text in outcome.messages:
                 LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))
