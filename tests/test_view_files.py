@@ -223,6 +223,18 @@ def test_post_takes_the_file_of_each_view(tmp_path):
         assert np.abs(made - sharp).max() > 0
 
 
+def test_post_scores_each_view_against_the_truth_for_it(tmp_path):
+    write_views(tmp_path)
+    names = ("post", tmp_path / "in.%V.exr", "-o", tmp_path / "out.%V.exr", "--do", "fxaa")
+    made = run(*names, "--truth", tmp_path / "in.%V.exr")
+    assert made.status == 0, made.err
+    rows = [line.split() for line in made.out.splitlines()[3:]]
+    assert [row[:2] for row in rows] == [[v, what] for v in VIEWS for what in ("input", "fxaa")]
+    assert [row[2] == "inf" for row in rows] == [True, False, True, False]
+    line = refused(*names, "--truth", tmp_path / "in.left.exr", "--overwrite")
+    assert "is one file for the views left, right" in line
+
+
 def test_layers_have_a_file_for_each_view(tmp_path):
     for number, view in enumerate(VIEWS):
         frame = plain_frame(SHAPE, seed=number)

@@ -177,20 +177,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
 
     source = source or read(arguments)
     buffers = source.buffers
-    truth = None
-    if arguments.truth is not None:
-        from jaxblur import metrics
-
-        height, width = buffers.color.shape[:2]
-        if min(height, width) < (least := metrics.SSIM_WINDOW):
-            raise CommandError(
-                f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
-                f"{least}x{least} or more (the window of SSIM); leave it out."
-            )
-        stored, colors = read_truth(arguments, buffers.color.shape, arguments.view)
-        if not colors.is_identity:
-            LOG.info("colors of the truth: %s", colors.words)
-        truth = colors.light(stored)
+    truth = shown_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
     exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
@@ -255,6 +242,36 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     if getattr(arguments, "require_motion", False):
         raise CommandError(f"{file}: nothing moves; {why}.")
     LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
+
+
+def shown_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    """Read the truth for scores, if the arguments name one.
+
+    Args:
+        arguments: of the command.
+        shape: of the picture of the frame.
+
+    Returns:
+        (H, W, C) linear light that a screen shows, or None.
+
+    Raises:
+        JaxblurIOError: the file is missing, damaged or holds something else.
+        CommandError: it has another size than the frame, or one that has no scores.
+    """
+    if arguments.truth is None:
+        return None
+    from jaxblur import metrics
+
+    height, width = shape[:2]
+    if min(height, width) < (least := metrics.SSIM_WINDOW):
+        raise CommandError(
+            f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
+            f"{least}x{least} or more (the window of SSIM); leave it out."
+        )
+    stored, colors = read_truth(arguments, shape, arguments.view)
+    if not colors.is_identity:
+        LOG.info("colors of the truth: %s", colors.words)
+    return colors.light(stored)
 
 
 def read_truth(

@@ -17,7 +17,7 @@ from .console import print_line, print_table
 from .filtering import report_ignored, require_neighbors, takes_neighbors
 from .loading import Loaded, load, mismatch, read
 from .progress import remarks_once
-from .scores import SCORE_COLUMNS, in_words, score_rows, scores_of
+from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
 
 LOG = logging.getLogger("jaxblur")
@@ -59,7 +59,8 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         LOG.debug("read in %.2f s", time.perf_counter() - started)
         for frame, own in zip(frames, exposed, strict=True):
             chosen, made, seconds = _make(asked, frame, own)
-            rows += _score_rows(frame, chosen, made)
+            labels = [view_files.label_of(eye, len(made) > 1) for eye in frame.eyes]
+            rows += view_rows(labels, [scores_of(*each) for each in made], chosen.name)
             if arguments.result:
                 shots += _shots(frame, chosen, made, seconds)
     if rows:
@@ -139,23 +140,6 @@ def _print_plan(asked: Choice, arguments: argparse.Namespace, frames: Sequence[_
         *(("replace" if path.exists() else "write", path) for path in files),
     ]
     print_table(("action", "what"), rows)
-
-
-def _score_rows(
-    frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]
-) -> list[tuple[str, ...]]:
-    """The rows with the scores of each view."""
-    several = len(made) > 1
-    return [
-        row
-        for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True)
-        for row in score_rows(
-            {
-                in_words(view_files.label_of(eye, several), name, chosen.name): score
-                for name, score in scores_of(loaded, blurred).items()
-            }
-        )
-    ]
 
 
 def _shots(

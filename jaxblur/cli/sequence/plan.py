@@ -59,7 +59,7 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     Raises:
         CommandError: an option is wrong, or there is no frame.
     """
-    from jaxblur.sequence import has_frame_number, parse_names, plan_jobs
+    from jaxblur.sequence import parse_names, plan_jobs
 
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
@@ -67,14 +67,10 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         if getattr(arguments, name):
             also = "" if name == "subframes" else ", which finds its neighbors by itself"
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
-    sources = _inputs(arguments)
+    sources = names_of(arguments, roles(arguments))
     outputs.check_output(arguments)
     frames = arguments.frames or frames_on_disk(sources["input"])
-    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
-        raise CommandError(
-            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
-            "truth.####.exr."
-        )
+    check_truth(arguments, frames)
     if arguments.result is not None and arguments.output.suffix.lower() != ".exr":
         raise CommandError(
             f"--result: the frames of a sequence are read back from {arguments.output}, and "
@@ -96,6 +92,25 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         neighbors=neighbors,
     )
     return plan, sources["input"]
+
+
+def check_truth(arguments: argparse.Namespace, frames: Sequence[int]) -> None:
+    """Reject one truth for many frames.
+
+    Args:
+        arguments: of the command.
+        frames: numbers of the frames.
+
+    Raises:
+        CommandError: it is so.
+    """
+    from jaxblur.sequence import has_frame_number
+
+    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
+        raise CommandError(
+            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
+            "truth.####.exr."
+        )
 
 
 def refuse(plan: Any, names: Any) -> None:
@@ -125,11 +140,19 @@ def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     return (*stack.roles(arguments), *left, *own)
 
 
-def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Names of the inputs by role."""
+def names_of(arguments: argparse.Namespace, roles: Sequence[str]) -> dict[str, Any]:
+    """Names of the inputs of a sequence.
+
+    Args:
+        arguments: of the command.
+        roles: of the inputs, ``input`` among them.
+
+    Returns:
+        A `jaxblur.sequence.FrameNames` by role, or the path of a file that serves all frames.
+    """
     from jaxblur.sequence import has_frame_number, parse_names
 
-    given = {role: getattr(arguments, role) for role in roles(arguments)}
+    given = {role: getattr(arguments, role) for role in roles}
     return {
         role: parse_names(_placed(arguments, path))
         if has_frame_number(path) or role == "input"
@@ -141,7 +164,8 @@ def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _placed(arguments: argparse.Namespace, path: pathlib.Path) -> pathlib.Path:
     """The path of a file for workers, which may stand in another folder."""
-    return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
+    scheduler = getattr(arguments, "scheduler", None)
+    return pathlib.Path(os.path.abspath(path)) if scheduler else path
 
 
 def _views(
