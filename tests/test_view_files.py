@@ -24,6 +24,16 @@ def write_views(folder, name="in.{}.exr", views=VIEWS):
         write_single(folder / name.format(view), plain_frame(SHAPE, seed=number))
 
 
+def write_both(path, views=VIEWS, seed=0):
+    """Write a file with two views, each by its own depth and vectors."""
+    first, second = plain_frame(SHAPE, seed=seed), plain_frame(SHAPE, seed=seed + 1)
+    channels = first | {f"{views[1]}.{name}": plane for name, plane in second.items()}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), views)
+    write_parts(path, [(spec, channels)])
+    return path
+
+
 def blurred(path, seed=None, samples=5, noise=None):
     """A file as the library blurs it."""
     settings = jaxblur.GuertinSettings(samples=samples, radius=4)
@@ -110,6 +120,84 @@ def test_a_view_without_a_truth_is_missing(tmp_path):
     assert "truth.right.0001.exr" in line and not list(tmp_path.glob("out*"))
 
 
+def psnr_of(text, heading):
+    """The words and the PSNR of each row of a table of scores."""
+    lines = [line.split() for line in text.splitlines()]
+    start = next(k for k, line in enumerate(lines) if line[: len(heading)] == heading)
+    return [(line[:-3], line[-3]) for line in lines[start + 1 :]]
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_file_of_both_views_is_scored_against_a_truth_for_each(tmp_path, command):
+    write_views(tmp_path, "truth.{}.exr")
+    path = write_both(tmp_path / "in.exr")
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    what = "guertin2014" if command == "blur" else "fxaa"
+    made = run(
+        command, path, "-o", tmp_path / "out.exr", "--truth", tmp_path / "truth.%V.exr", *more
+    )
+    assert made.status == 0, made.err
+    rows = psnr_of(made.out, ["against"])
+    assert [words for words, _ in rows] == [[v, name] for v in VIEWS for name in ("input", what)]
+    # Each truth is the input of its view.
+    assert [value == "inf" for _, value in rows] == [True, False, True, False]
+    one = (command, path, "-o", tmp_path / "one.exr", "--views", "right", *more)
+    made = run(*one, "--truth", tmp_path / "truth.%V.exr")
+    assert made.status == 0, made.err
+    assert psnr_of(made.out, ["against"])[0] == (["input"], "inf")
+    (tmp_path / "truth.right.exr").unlink()
+    line = refused(*one, "--overwrite", "--truth", tmp_path / "truth.%V.exr")
+    assert "truth.right.exr: no such file" in line
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_sequence_of_files_of_both_views_is_scored_against_a_truth_for_each(tmp_path, command):
+    for number in (1, 2):
+        write_views(tmp_path, f"truth.{{}}.{number:04d}.exr")
+        write_both(tmp_path / f"in.{number:04d}.exr")
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    names = (command, tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", *more)
+    truth = ("--truth", tmp_path / "truth.%V.####.exr")
+    result = ("--result", tmp_path / "result") if command == "blur" else ()
+    made = run(*names, *truth, *result)
+    assert made.status == 0, made.err
+    rows = psnr_of(made.out, ["frame", "against"])
+    means = {tuple(words): value for words, value in rows if words[0] == "mean"}
+    assert {words[1:]: value == "inf" for words, value in means.items()} == {
+        (view, name): name == "input"
+        for view in VIEWS
+        for name in ("input", more[-1] if command == "post" else "guertin2014")
+    }
+    if command == "post":
+        return
+    shots = read_result(tmp_path / "result").shots
+    assert [shot.name for shot in shots] == [f"frame {n} {view}" for n in (1, 2) for view in VIEWS]
+    assert [shot.pictures[0].scores["psnr"] for shot in shots] == 4 * [np.inf]
+    assert "truth.right.0002.exr" in shots[3].hashes
+    (tmp_path / "truth.right.0002.exr").touch()
+    assert "2 kept" in run(*names, *truth).out, "a truth changes no pixel"
+    (tmp_path / "truth.right.0002.exr").unlink()
+    made = run(*names, *truth)
+    assert made.status == 1 and "truth.right.0002.exr: no such file" in made.err
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_file_of_each_view_is_scored_against_one_truth_that_holds_both(tmp_path, command):
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    for number in (1, 2):
+        write_views(tmp_path, f"in.{{}}.{number:04d}.exr")
+        write_both(tmp_path / f"truth.{number:04d}.exr")
+    names = (command, tmp_path / "in.%V.0001.exr", "-o", tmp_path / "out.%V.exr", *more)
+    made = run(*names, "--truth", tmp_path / "truth.0001.exr")
+    assert made.status == 0, made.err
+    assert [v == "inf" for _, v in psnr_of(made.out, ["against"])] == [True, False, True, False]
+    names = (command, tmp_path / "in.%V.####.exr", "-o", tmp_path / "out.%V.####.exr", *more)
+    made = run(*names, "--truth", tmp_path / "truth.####.exr")
+    assert made.status == 0, made.err
+    means = [v for words, v in psnr_of(made.out, ["frame"]) if words[0] == "mean"]
+    assert [value == "inf" for value in means] == [True, False, True, False]
+
+
 def with_camera(path, x, frame, views=()):
     """Write a frame whose header has a camera at ``x`` that looks along -z, for all its views."""
     height, width = SHAPE
@@ -166,7 +254,19 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
         ),
         (
             ("in.%V.exr", "-o", "out.%V.exr", "--truth", "in.left.exr"),
-            "--truth: in.left.exr is one file for the views left, right",
+            "in.left.exr: truth: no view 'left', and each view is compared with its own truth",
+        ),
+        (
+            ("both.left.exr", "-o", "out.exr", "--velocity-from", "in.%V.exr"),
+            "--velocity-from: in.%V.exr has %V",
+        ),
+        (
+            ("named.exr", "-o", "out.exr", "--truth", "in.%V.exr"),
+            "in in.%V.exr, %V stands for left, right, but named.exr has a view top",
+        ),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--truth", "both.left.exr", "--truth-layer", "left"),
+            "--truth-layer: each of the views left, right",
         ),
         (
             ("in.%V.exr", "-o", "out.%V.exr", "--velocity-from", "in.left.exr"),
@@ -192,12 +292,9 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
 def test_names_that_do_not_fit_are_refused(tmp_path, monkeypatch, given, words):
     monkeypatch.chdir(tmp_path)
     write_views(tmp_path)
-    channels = plain_frame(SHAPE)
-    channels |= {f"right.{name}": channels[name] for name in "RGB"}
-    spec = make_spec(channels)
-    spec.attribute("multiView", oiio.TypeDesc("string[2]"), VIEWS)
     for view in VIEWS:
-        write_parts(tmp_path / f"both.{view}.exr", [(spec, channels)])
+        write_both(tmp_path / f"both.{view}.exr")
+    write_both(tmp_path / "named.exr", ("top", "bottom"))
     assert words in refused("blur", *given, *FEW)
     assert not list(tmp_path.glob("out*"))
 
@@ -232,7 +329,7 @@ def test_post_scores_each_view_against_the_truth_for_it(tmp_path):
     assert [row[:2] for row in rows] == [[v, what] for v in VIEWS for what in ("input", "fxaa")]
     assert [row[2] == "inf" for row in rows] == [True, False, True, False]
     line = refused(*names, "--truth", tmp_path / "in.left.exr", "--overwrite")
-    assert "is one file for the views left, right" in line
+    assert "in.left.exr: truth: no view 'left'" in line
 
 
 def test_layers_have_a_file_for_each_view(tmp_path):

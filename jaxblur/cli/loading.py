@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxblur.settings import Settings
 
-from . import layer_reading, posts, sources, stack, strength
+from . import layer_reading, posts, sources, stack, strength, view_files
 from .arguments import CommandError
 from .colors import shown_colors
 from .disparity import disparity_of
@@ -294,9 +294,9 @@ def read_truth(
     from jaxblur import exr
 
     info, layer = exr.inspect(arguments.truth), arguments.truth_layer
-    if layer is None and arguments.layer in exr.views_of(info):
+    if layer is None and (eye := view_files.name_of(arguments)) in exr.views_of(info):
         # A view is compared with the truth for the same eye.
-        layer = arguments.layer
+        layer = eye
     channel = exr.choose_color(info, layer).channels[0]
     truth = exr.read_image(arguments.truth, layer)
     if truth.shape[:2] != shape[:2]:

@@ -121,7 +121,7 @@ def shots_of_frame(arguments: argparse.Namespace, job: Any, seconds: float | Non
     """Read a frame of a sequence back; a whole sequence does not fit into memory.
 
     Args:
-        arguments: of the command, or of `view_files.each`.
+        arguments: of the command, or of `view_files.each`, with the files of the frame.
         job: of the frame, whose outputs exist; the first is an ``.exr``.
         seconds: see `make_shot`.
 
@@ -130,9 +130,7 @@ def shots_of_frame(arguments: argparse.Namespace, job: Any, seconds: float | Non
     """
     from jaxblur import exr
 
-    sources = {role: job.inputs.get(role) for role in ROLES}
-    here = sources | {"seed": job.frame}
-    eyes = views.each(argparse.Namespace(**vars(arguments) | here))
+    eyes = views.each(arguments)
     output = job.outputs[0]
     notes = exr.inspect(output).parts[0].attributes
     for eye in eyes:
@@ -144,4 +142,4 @@ def shots_of_frame(arguments: argparse.Namespace, job: Any, seconds: float | Non
         method = str(notes.get("jaxblur:filter", "output"))
         view = view_files.label_of(eye, len(eyes) > 1)
         name = " ".join(filter(None, (f"frame {job.frame}", view)))
-        yield make_shot(name, loaded, blurred, method, settings, sources, seconds)
+        yield make_shot(name, loaded, blurred, method, settings, vars(eye), seconds)

@@ -16,8 +16,8 @@ def add_truth_options(parser: argparse.ArgumentParser) -> None:
         "--truth",
         type=file_path,
         metavar="FILE",
-        help="print PSNR, SSIM and FLIP against it; several views, each against the view of its "
-        "name there",
+        help="print PSNR, SSIM and FLIP against it; each of several views against the view of its "
+        "name there, or against the file of its name, where %%V in FILE stands for it",
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
 

@@ -296,8 +296,8 @@ def _number_in(path: pathlib.Path) -> int:
 
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
-    files = [getattr(arguments, role) for role in stack.roles(arguments)]
-    files += [arguments.velocity_from, arguments.depth_from, arguments.truth]
+    roles = (*stack.roles(arguments), "velocity_from", "depth_from")
+    files = [getattr(arguments, r) for r in (*roles, *view_files.truths_of(arguments))]
     near = [path for s in ("before", "after") for path in stack.files_of(arguments, s).values()]
     more = (arguments.matte_from, *near, *_subframe_files(arguments))
     return [path for path in (*files, *more) if path is not None]

@@ -38,9 +38,6 @@ from ..sources import add_channel_options
 
 LOG = logging.getLogger("jaxblur")
 
-ROLES = ("input", "depth_from", "truth")
-"""Options with files of a frame."""
-
 
 def add_parser(commands: Any) -> None:
     """Add the command."""
@@ -141,8 +138,13 @@ class _Job(NamedTuple):
 
     def sources(self) -> list[pathlib.Path]:
         """The files that are read."""
-        given = [getattr(self.arguments, role) for role in ROLES]
+        given = [getattr(self.arguments, role) for role in _roles(self.arguments)]
         return [path for path in given if path is not None]
+
+
+def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The arguments with files of a picture."""
+    return ("input", "depth_from", *view_files.truths_of(arguments))
 
 
 def _jobs(arguments: argparse.Namespace) -> list[_Job]:
@@ -153,7 +155,7 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
         return [_job(arguments, None, arguments.output)]
-    sources, outputs = names_of(arguments, ROLES), parse_names(arguments.output)
+    sources, outputs = names_of(arguments, _roles(arguments)), parse_names(arguments.output)
     numbers = arguments.frames or frames_on_disk(sources["input"])
     check_truth(arguments, numbers)
     found = []

@@ -12,7 +12,7 @@ from typing import Any
 
 import jaxblur
 
-from .. import outputs, stack, strength, views
+from .. import outputs, stack, strength, view_files, views
 from ..arguments import CommandError
 from ..choice import Choice
 from ..filtering import takes_neighbors
@@ -136,8 +136,25 @@ def refuse(plan: Any, names: Any) -> None:
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     """The roles of all files of a frame."""
     left = ["left_input"] if "left_input" in arguments else []
-    own = ("velocity_from", "depth_from", "matte_from", "truth")
+    own = ("velocity_from", "depth_from", "matte_from", *view_files.truths_of(arguments))
     return (*stack.roles(arguments), *left, *own)
+
+
+def at_job(
+    arguments: argparse.Namespace, job: Any, number: int | None = None
+) -> argparse.Namespace:
+    """The arguments for the frame of a job, or for one of its neighbors.
+
+    Args:
+        arguments: of the command.
+        job: of the frame.
+        number: of a neighbor, if it is for that.
+    """
+    inputs = job.neighbors.get(number, job.inputs)
+    here: dict[str, Any] = {role: inputs.get(role) for role in roles(arguments)}
+    if arguments.seed == "frame":
+        here["seed"] = job.frame
+    return argparse.Namespace(**vars(arguments) | here)
 
 
 def names_of(arguments: argparse.Namespace, roles: Sequence[str]) -> dict[str, Any]:
@@ -198,7 +215,7 @@ def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
     default.
     """
-    places = NOT_A_CHOICE | {*stack.roles(arguments)}
+    places = NOT_A_CHOICE | {*roles(arguments)}
     given = {key: value for key, value in vars(arguments).items() if key not in places}
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])

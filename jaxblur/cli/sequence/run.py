@@ -15,7 +15,7 @@ from ..errors import FAILED, is_foreseeable, message_of
 from ..progress import about_frame, frame_messages, progress
 from . import report
 from .frame_work import FrameWork
-from .plan import make_plan, refuse, with_all_frames
+from .plan import at_job, make_plan, refuse, with_all_frames
 
 LOG = logging.getLogger("jaxblur")
 
@@ -67,16 +67,14 @@ def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
 def _leave_result(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> None:
     """Write the result folder of all frames that are there, if one is asked for."""
     there = [
-        (run.arguments, job, run.records[job.frame].get("seconds", {}).get("blur"))
+        (at_job(run.arguments, job), job, run.records[job.frame].get("seconds", {}).get("blur"))
         for run in runs
         for job in run.done_jobs()
     ]
     if not arguments.result or not there:
         return
-    first, job, _ = there[0]
     shots = (shot for each in there for shot in results.shots_of_frame(*each))
-    first = argparse.Namespace(**vars(first) | {"input": job.inputs["input"]})
-    results.write(arguments, first, shots)
+    results.write(arguments, there[0][0], shots)
 
 
 class _Run:
