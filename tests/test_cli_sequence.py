@@ -1,5 +1,6 @@
 """``jaxblur blur`` on sequences: every frame, whatever happens in between."""
 
+import argparse
 import fcntl
 import json
 import os
@@ -9,13 +10,14 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jaxblur import exr
 from jaxblur.cli import blurring
-from jaxblur.cli.sequence import frame_work, run as sequence_run
+from jaxblur.cli.sequence import frame_work, names_of, run as sequence_run
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
 
@@ -470,3 +472,14 @@ def test_a_frame_of_another_size_is_reported(shot):
         assert "error: frame 1003: has 24x20 pixels, most frames have " in outcome.err
         assert written(path) == all_names(), "nothing is lost"
     assert run(*command, "--allow-resize").status == 0
+
+
+def test_workers_get_whole_paths_of_files_that_serve_all_frames(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = argparse.Namespace(input=Path("in.####.exr"), depth_from=Path("depth.exr"))
+    given.scheduler = "local"
+    names = names_of(given, ("input", "depth_from"))
+    assert names["depth_from"] == tmp_path / "depth.exr"
+    assert names["input"].path(1) == tmp_path / "in.0001.exr"
+    given.scheduler = None
+    assert names_of(given, ("depth_from",))["depth_from"] == Path("depth.exr")

@@ -332,6 +332,100 @@ def test_post_scores_each_view_against_the_truth_for_it(tmp_path):
     assert "in.left.exr: truth: no view 'left'" in line
 
 
+def test_info_lists_the_file_of_each_view(tmp_path):
+    for number in (1, 2):
+        write_views(tmp_path, f"in.{{}}.{number:04d}.exr", ("left", "right", "top"))
+    listed = run("info", tmp_path / "in.%V.####.exr")
+    assert listed.status == 0, listed.err
+    found = [line.partition(": as")[0] for line in listed.out.splitlines() if ".exr" in line]
+    assert found == [str(tmp_path / f"in.{view}.000{n}.exr") for view in VIEWS for n in (1, 2)]
+    listed = run("info", tmp_path / "in.%V.0001.exr", "--views", "top", "--json")
+    assert json.loads(listed.out)["path"] == str(tmp_path / "in.top.0001.exr")
+    isolated = run("info", tmp_path / "in.%V.0001.exr", "--views", "top,left", "--isolate")
+    assert isolated.status == 0, isolated.err
+    line = refused("info", tmp_path / "in.top.0001.exr", "--views", "top")
+    assert "--views: no file has %V" in line
+    missing = run("info", tmp_path / "in.%V.0001.exr", "--views", "left,bottom")
+    assert missing.status == 1 and "in.bottom.0001.exr: no such file" in missing.err
+
+
+def write_layers(folder, names):
+    for number, view in enumerate(VIEWS):
+        frame = plain_frame(SHAPE, seed=number)
+        for name in names:
+            path = folder / name.format(view)
+            write_single(path, frame | {"A": np.ones_like(frame["Z"])})
+
+
+def test_layers_have_neighbors_for_each_view(tmp_path):
+    names = [f"{name}.{{}}.{frame}.exr" for name in ("front", "back") for frame in (1, 2)]
+    write_layers(tmp_path, names)
+    layers = (tmp_path / "front.%V.1.exr", tmp_path / "back.%V.1.exr")
+    after = (tmp_path / "front.%V.2.exr", tmp_path / "back.%V.2.exr")
+    command = ("layers", *layers, "-o", tmp_path / "out.%V.exr")
+    planned = run(*command, "--after", *after, "--dry-run")
+    assert planned.status == 0, planned.err
+    rows = [line.split() for line in planned.out.splitlines()[1:]]
+    assert [row[1] for row in rows if row[0] == "read"] == [
+        str(tmp_path / f"{name}.{view}.{frame}.exr")
+        for view in VIEWS
+        for frame in (1, 2)
+        for name in ("front", "back")
+    ]
+    line = refused(*command, "--after", after[0], tmp_path / "back.left.2.exr")
+    assert "--after: " in line and "back.left.2.exr is one file for the views" in line
+    plain = ("layers", tmp_path / "front.left.1.exr", "-o", tmp_path / "out.exr")
+    assert "--after: " in refused(*plain, "--after", after[0])
+    line = refused("layers", tmp_path / "front.left.1.exr", layers[1], "-o", tmp_path / "out.exr")
+    assert f"error: {layers[1]} has %V" in line
+    # A plate may be the same for both eyes, and then is so in the frame after.
+    plate = tmp_path / "back.left.1.exr"
+    planned = run(*command[:2], plate, *command[3:], "--after", after[0], plate, "--dry-run")
+    assert planned.status == 0, planned.err
+
+
+@pytest.mark.slow
+def test_layers_with_neighbors_for_each_view_are_blurred(tmp_path):
+    layers = ("front", "back")
+    write_layers(tmp_path, [f"{name}.{{}}.{frame}.exr" for name in layers for frame in (1, 2)])
+    for view, output, more in (
+        ("%V", "out.%V.exr", ()),
+        ("left", "alone.left.exr", ()),
+        ("right", "alone.right.exr", ("--seed", SEED_OF_A_VIEW)),
+    ):
+        now, after = ([tmp_path / f"{name}.{view}.{k}.exr" for name in layers] for k in (1, 2))
+        few = ("--preset", "jaxblur", "--samples", "5", "--radius", "4")
+        made = run("layers", *now, "-o", tmp_path / output, "--after", *after, *few, *more)
+        assert made.status == 0, made.err
+    for view in VIEWS:
+        made, wanted = (tmp_path / f"{name}.{view}.exr" for name in ("out", "alone"))
+        np.testing.assert_array_equal(exr.read_image(made), exr.read_image(wanted))
+        notes = exr.inspect(made).parts[0].attributes
+        assert notes["jaxblur:neighbors"] == f"after front.{view}.2.exr"
+
+
+@pytest.mark.slow
+def test_workers_blur_the_files_of_each_view(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="comes with jaxblur[dask]")
+    monkeypatch.chdir(tmp_path)
+    for view, x in (("left", 1.0), ("right", 1.5)):
+        with_camera(tmp_path / f"in.{view}.0001.exr", x, plain_frame(SHAPE))
+        write_single(tmp_path / f"truth.{view}.0001.exr", plain_frame(SHAPE))
+    names = ("blur", "in.%V.####.exr", "--truth", "truth.%V.####.exr", "--disparity", "cameras")
+    outcomes = []
+    for folder, more in (("alone", ()), ("workers", ("--scheduler", "local", "--workers", "1"))):
+        (tmp_path / folder).mkdir()
+        output = f"{folder}/out.%V.####.exr"
+        outcomes.append(run(*names, "-o", output, "--result", f"{folder}/result", *FEW, *more))
+        assert outcomes[-1].status == 0, outcomes[-1].err
+    alone, workers = (outcome.out.splitlines()[1:] for outcome in outcomes)
+    assert alone == workers and len(alone) == 7
+    for view in VIEWS:
+        made, wanted = (tmp_path / f"{f}/out.{view}.0001.exr" for f in ("workers", "alone"))
+        assert made.read_bytes() == wanted.read_bytes()
+    assert len(read_result(tmp_path / "workers/result").shots) == 2
+
+
 def test_layers_have_a_file_for_each_view(tmp_path):
     for number, view in enumerate(VIEWS):
         frame = plain_frame(SHAPE, seed=number)

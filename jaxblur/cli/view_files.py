@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from .arguments import CommandError
 from .disparity import CAMERAS
+from .stack import LayerName
 
 PLACE = "%V"
 """Stands for the name of a view, in a file name or in the name of a folder, as in Nuke."""
@@ -64,10 +65,12 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     """
     given = {key: value for key, value in vars(arguments).items() if has_place(value)}
     if not are_named(arguments):
-        for key, path in given.items():
+        for key, value in given.items():
             if key != "truth":
+                path = next(filter(has_place, _paths(value)))
+                option = "" if key == "layers" else f"{_option(key)}: "
                 raise CommandError(
-                    f"{_option(key)}: {path} has {PLACE} for the name of a view, but "
+                    f"{option}{path} has {PLACE} for the name of a view, but "
                     f"{arguments.input} has none; write {PLACE} in both or in neither, or work on "
                     f"one view at a time: --views left and {_of_view(path, 'left')}."
                 )
@@ -84,6 +87,29 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
             here["left_input"] = _of_view(arguments.input, "left")
         found.append(argparse.Namespace(**vars(arguments) | here))
     return found
+
+
+def files_of(paths: Sequence[pathlib.Path], names: Sequence[str] | None) -> list[pathlib.Path]:
+    """The files that paths stand for, those of each view for one with `PLACE`.
+
+    Args:
+        paths: of files, or names of sequences.
+        names: of the views, or None for `VIEWS`.
+
+    Raises:
+        CommandError: views are named, and no path has a place for them.
+    """
+    if names and not any(map(has_place, paths)):
+        raise CommandError(
+            f"--views: no file has {PLACE} for the name of a view; write it, such as "
+            f"shot.{PLACE}.exr, or leave out --views."
+        )
+    views = list(dict.fromkeys(names or VIEWS))
+    return [
+        file
+        for path in paths
+        for file in ([_of_view(path, name) for name in views] if has_place(path) else [path])
+    ]
 
 
 def truths_of(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -194,23 +220,40 @@ def _check_sources(arguments: argparse.Namespace, names: Sequence[str]) -> None:
             f"--result: {arguments.result} has {PLACE}, but one result holds all views; leave "
             f"{PLACE} out."
         )
+    if len(names) < 2:
+        return
     for key, why in SOURCES.items():
-        path = getattr(arguments, key, None)
-        if len(names) > 1 and isinstance(path, pathlib.Path) and not has_place(path):
-            raise CommandError(
-                f"{_option(key)}: {path} is one file for the views {', '.join(names)}, and each "
-                f"view {why}; write {PLACE} in its name, or choose one view with --views "
-                f"{names[0]}."
-            )
+        value = getattr(arguments, key, None)
+        # The frames before and after have a file for each layer.
+        frame = _paths(arguments.layers) if isinstance(value, list) else [arguments.input]
+        for path, of_frame in zip(_paths(value), frame, strict=False):
+            if has_place(of_frame) and not has_place(path):
+                raise CommandError(
+                    f"{_option(key)}: {path} is one file for the views {', '.join(names)}, and "
+                    f"each view {why}; write {PLACE} in its name, or choose one view with --views "
+                    f"{names[0]}."
+                )
 
 
 def has_place(value: Any) -> bool:
-    """Whether a value of an option is a path with `PLACE`."""
-    return isinstance(value, pathlib.Path) and PLACE in str(value)
+    """Whether a value of an option is a path with `PLACE`, or holds one."""
+    return any(PLACE in str(path) for path in _paths(value))
 
 
-def _of_view(path: pathlib.Path, name: str) -> pathlib.Path:
-    return pathlib.Path(str(path).replace(PLACE, name))
+def _paths(value: Any) -> list[pathlib.Path]:
+    """The paths in a value of an option: itself, or those of several layers."""
+    if isinstance(value, pathlib.Path):
+        return [value]
+    if isinstance(value, list):
+        return [each.path for each in value if isinstance(each, LayerName)]
+    return []
+
+
+def _of_view(value: Any, name: str) -> Any:
+    """A value of an option with the name of a view in place of `PLACE`."""
+    if isinstance(value, pathlib.Path):
+        return pathlib.Path(str(value).replace(PLACE, name))
+    return [each._replace(path=_of_view(each.path, name)) for each in value]
 
 
 def _option(key: str) -> str:

@@ -173,7 +173,7 @@ def names_of(arguments: argparse.Namespace, roles: Sequence[str]) -> dict[str, A
     return {
         role: parse_names(_placed(arguments, path))
         if has_frame_number(path) or role == "input"
-        else path
+        else _placed(arguments, path)
         for role, path in given.items()
         if path is not None
     }
