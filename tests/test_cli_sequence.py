@@ -375,6 +375,7 @@ def test_a_sequence_of_pictures_continues_where_it_stopped(shot, suffix):
         ({"input": "in.1001.exr", "--cut": "1001"}, ("--cut: is for sequences",)),
         ({"input": "in.1001.exr", "--scheduler": "local"}, ("--scheduler: is for sequences",)),
         ({"input": "no.####.exr"}, ("no.####.exr: no such frames",)),
+        ({"input": "inn.####.exr"}, ("no such frames; near that name there is", "in.####.exr'")),
         ({"input": "in.%05d.exr"}, ("asks for 5 digits, and there is in.1001.exr and", "in.####")),
         ({"--frames": "7-9"}, ("in.0007.exr: no such file, nor any other",)),
         ({"--frames": "a-b"}, ("--frames: expected frames such as",)),

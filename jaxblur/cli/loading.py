@@ -205,6 +205,26 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     )
 
 
+def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
+    """Say whether nothing moves in a frame that is not blurred now, by reading it.
+
+    Args:
+        arguments: of the command, for a frame or a view of it.
+        settings: as for `load`.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+        CommandError: nothing moves, and motion is required.
+    """
+    if arguments.shutter == 0:
+        LOG.warning(
+            "%s: nothing moves, so nothing is blurred: the exposure is 0; check --shutter.",
+            arguments.input,
+        )
+        return
+    load(argparse.Namespace(**vars(arguments) | {"truth": None}), settings)
+
+
 def mismatch(loaded: Loaded, source: Source) -> str:
     """How size or channels of another frame differ from those of a frame; empty if they agree."""
     (height, width, channels), (rows, columns, others) = (

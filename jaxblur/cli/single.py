@@ -15,7 +15,7 @@ from .choice import Choice, choose
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import report_ignored, require_neighbors, takes_neighbors
-from .loading import Loaded, load, mismatch, read
+from .loading import Loaded, load, mismatch, read, tell_rest
 from .progress import remarks_once
 from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
@@ -49,6 +49,8 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         arguments.seed = _number_in(arguments.input)
     frames = [_checked(each, asked) for each in view_files.each(arguments)]
     if arguments.dry_run:
+        for eye in (eye for frame in frames for eye in frame.eyes):
+            tell_rest(eye, asked.settings)
         _print_plan(asked, arguments, frames)
         return 0
     rows, shots = [], []

@@ -128,9 +128,7 @@ def refuse(plan: Any, names: Any) -> None:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise CommandError(f"{refused[0].reason}{more}.")
     if len(missing) == len(plan.jobs):
-        raise CommandError(
-            f"{missing[0].reason}, nor any other frame asked for{_padding_hint(names)}."
-        )
+        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{_hint(names)}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -269,18 +267,19 @@ def frames_on_disk(names: Any) -> list[int]:
 
     frames = names.frames_on_disk()
     if not frames:
-        raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
+        raise CommandError(f"{names.pattern}: no such frames{_hint(names)}.")
     missing = missing_frames(frames)
     if missing:
         LOG.warning("%s: missing frames: %s.", names.pattern, missing)
     return frames
 
 
-def _padding_hint(names: Any) -> str:
+def _hint(names: Any) -> str:
     """What files there are instead, and the pattern for them."""
     other = names.other_padding()
     if other is None:
-        return ""
+        near = " or ".join(map(repr, names.near_patterns()))
+        return f"; near that name there is {near}" if near else ""
     first, *more = other.frames_on_disk()
     found = f"{other.path(first).name}{f' and {len(more)} more' if more else ''}"
     asked = f"{names.digits} digits" if names.digits > 1 else "no padding"

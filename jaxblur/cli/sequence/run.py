@@ -7,11 +7,12 @@ import queue
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .. import mattes, results, strength, view_files
+from .. import mattes, results, strength, view_files, views
 from ..arguments import in_option_names
 from ..choice import Choice
 from ..compute import start_jax
 from ..errors import FAILED, is_foreseeable, message_of
+from ..loading import tell_rest
 from ..progress import about_frame, frame_messages, progress
 from . import report
 from .frame_work import FrameWork
@@ -44,6 +45,8 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
         arguments.seed = "frame"
     runs = [_Run(each, asked) for each in with_all_frames(view_files.each(arguments))]
     if arguments.dry_run:
+        for run in runs:
+            run.tell_rest()
         jobs = [job for run in runs for job in run.plan.jobs]
         return report.print_plan(jobs, _records(runs), arguments.json)
     for run in runs:
@@ -86,6 +89,18 @@ class _Run:
         self.selects: list[bool] = []
         self.view = view_files.label_of(arguments, several=False)
         self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
+
+    def tell_rest(self) -> None:
+        """Say whether nothing moves in the first frame that is to be blurred."""
+        from jaxblur.exr import JaxblurIOError
+
+        for job in self.plan.with_action("blur")[:1]:
+            with about_frame(job.frame):
+                try:
+                    for eye in views.each(at_job(self.arguments, job)):
+                        tell_rest(eye, self.asked.settings)
+                except JaxblurIOError as error:
+                    LOG.warning("cannot be blurred: %s", error)
 
     def work(self) -> None:
         """Work on the frames that are to be blurred or passed through."""
