@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from jaxblur import exr
-from jaxblur.cli import blurring
+from jaxblur.cli import blurring, outputs
 from jaxblur.cli.sequence import frame_work, names_of, run as sequence_run
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
@@ -353,6 +353,23 @@ def test_a_png_beside_every_frame(shot):
     (path / "out/a.1001.png").unlink()
     assert "1 written" in run(*command, "--png", "--frames", "1001").out, "both are made again"
     assert "1 kept" in run(*command, "--png", "--frames", "1001").out
+
+
+def test_an_option_that_is_new_leaves_outputs_as_they_are(shot, monkeypatch):
+    command = (*shot[1], "--frames", "1001")
+    assert "1 written" in run(*command).out
+    add = outputs.add_output_option
+
+    def add_more(parser):
+        add(parser)
+        parser.add_argument("--brand-new", type=int, default=8)
+
+    monkeypatch.setattr(outputs, "add_output_option", add_more)
+    assert "1 kept" in run(*command).out
+    assert "1 kept" in run(*command, "--brand-new", "8").out, "as by default"
+    assert "was made with other parameters" in refused(*command, "--brand-new", "9")
+    assert "1 kept" in run(*command, "--shutter", "180deg").out, "as by default"
+    assert "was made with other parameters" in refused(*command, "--shutter", "170deg")
 
 
 @pytest.mark.parametrize("suffix", ["tif", "jpg"])

@@ -196,6 +196,8 @@ def test_a_file_of_each_view_is_scored_against_one_truth_that_holds_both(tmp_pat
     assert made.status == 0, made.err
     means = [v for words, v in psnr_of(made.out, ["frame"]) if words[0] == "mean"]
     assert [value == "inf" for value in means] == [True, False, True, False]
+    if command == "blur":
+        assert "4 kept" in run(*names).out, "a truth changes no pixel"
 
 
 def with_camera(path, x, frame, views=()):

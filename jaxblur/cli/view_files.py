@@ -34,12 +34,10 @@ class ViewFile(NamedTuple):
     Attributes:
         name: of the view.
         number: among the views of the run, from 0.
-        in_truth: the views of the run that one truth holds; empty where each has its own.
     """
 
     name: str
     number: int
-    in_truth: Sequence[str]
 
 
 def are_named(arguments: argparse.Namespace) -> bool:
@@ -55,9 +53,10 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
 
     Returns:
         Those of the command where the input has no `PLACE`, with those of `truths_of`. Else
-        one for each view, with its name in place of `PLACE` in every path, and a `ViewFile` in
-        ``view_file``. Where the noise of the right view is to be shared by cameras, its
-        ``left_input`` is the input of the left one.
+        one for each view, with its name in place of `PLACE` in every path, a `ViewFile` in
+        ``view_file``, and in ``in_truth`` the views that one truth must hold, none where each has
+        its own. Where the noise of the right view is to be shared by cameras, its ``left_input``
+        is the input of the left one.
 
     Raises:
         CommandError: a file of each view is needed and is not named so, or an option is for a view
@@ -82,7 +81,7 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     found = []
     for number, name in enumerate(names):
         here: dict[str, Any] = {key: _of_view(path, name) for key, path in given.items()}
-        here |= {"views": None, "view_file": ViewFile(name, number, in_truth)}
+        here |= {"views": None, "view_file": ViewFile(name, number), "in_truth": in_truth}
         if getattr(arguments, "disparity", None) == CAMERAS and name == "right":
             here["left_input"] = _of_view(arguments.input, "left")
         found.append(argparse.Namespace(**vars(arguments) | here))

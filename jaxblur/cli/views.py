@@ -129,7 +129,7 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     names = _chosen(arguments, info)
     file: view_files.ViewFile | None = getattr(arguments, "view_file", None)
     if file is not None:
-        _check_truth(arguments, file.in_truth)
+        _check_truth(arguments, arguments.in_truth)
         noise = _noise_of(arguments, file.name, file.number)
         return [argparse.Namespace(**vars(arguments) | noise)]
     view_files.check_options_of(arguments, info.path, names)

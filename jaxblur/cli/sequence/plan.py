@@ -25,10 +25,11 @@ LOG = logging.getLogger("jaxblur")
 # parameters counts by its contents.
 NOT_A_CHOICE = frozenset(
     {
-        *("command", "run", "verbose", "quiet", "input", "inputs", "output"),
+        *("command", "run", "option_defaults", "verbose", "quiet", "input", "inputs", "output"),
         *("frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
-        *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
+        *("truth", "truth_layer", "in_truth", "result"),
+        *("velocity_from", "depth_from", "no_compile_cache"),
         # A file of cameras counts by its contents.
         *("matte_from", "left_input", "camera"),
         # The quality counts by its samples.
@@ -210,19 +211,24 @@ def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:
 def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     """Every choice that determines an output besides its inputs.
 
-    A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
-    default.
+    An option counts unless it is named in `NOT_A_CHOICE`. Options and settings count where they
+    differ from their defaults, so that a new one leaves outputs as they are.
     """
-    places = NOT_A_CHOICE | {*roles(arguments)}
-    given = {key: value for key, value in vars(arguments).items() if key not in places}
+    places, usual = NOT_A_CHOICE | {*roles(arguments)}, arguments.option_defaults
+    given = {
+        key: value
+        for key, value in vars(arguments).items()
+        if key not in places and value != usual.get(key)
+    }
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:
         given["exposure"] = arguments.exposure._asdict()
-    is_file = isinstance(arguments.camera, pathlib.Path)
-    given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
-    usual = dataclasses.asdict(type(asked.settings)())
-    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
+    if arguments.camera is not None:
+        is_file = isinstance(arguments.camera, pathlib.Path)
+        given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
+    plain = dataclasses.asdict(type(asked.settings)())
+    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != plain[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
     return given | chosen | {"version": jaxblur.__version__}
 
