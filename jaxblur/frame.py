@@ -230,6 +230,8 @@ def check_frame_type(frame: object, argument: str = "frame") -> None:
         remedy = "pass the first entry alone"
     elif isinstance(frame, str | os.PathLike):
         remedy = "read the file: jaxblur.read_frame(path)"
+    elif isinstance(frame, np.ndarray | jax.Array):
+        given = f"an array {tuple(frame.shape)}"
     raise ValueError(f"`{argument}` must be a jaxblur.Frame, got {given}; {remedy}.")
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import jaxblur
 from jaxblur import bench
+from jaxblur.cli.blurring import apply_filter
 from jaxblur.devices import blur_frames, blur_rows
 from jaxblur.filters import FILTERS
 from jaxblur.filters.guertin2014 import tile_outcomes
@@ -96,7 +97,7 @@ def test_pixel_velocity_has_neither_parameters_nor_the_choices_of_guertin2014():
         (BUFFERS, "got tuple; pass jaxblur.Frame(color, depth, velocity)"),
         ((FRAME, TRUTH), "got tuple; pass the first entry alone"),
         (jaxblur.Frame, "got the class Frame itself; pass jaxblur.Frame(color"),
-        (TRUTH, "got ndarray; pass jaxblur.Frame(color, depth, velocity)"),
+        (TRUTH, "got an array (7, 9, 3); pass jaxblur.Frame(color, depth, velocity)"),
         ("beauty.exr", "got str; read the file: jaxblur.read_frame(path)"),
         (pathlib.Path("beauty.exr"), "read the file: jaxblur.read_frame(path)"),
         (None, "got NoneType; pass jaxblur.Frame"),
@@ -114,6 +115,66 @@ def test_what_is_no_frame(frame, says):
     assert says in refused(blur_rows, "layered", frame)
     assert "`frames` must be a jaxblur.Frame" in refused(blur_frames, "layered", frame)
     assert says in refused(jaxblur.blur_batch, "layered", [frame])
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class OwnParameters:
+    gain: float | jax.Array = jaxblur.parameter(2.0, low=0.0, meaning="brightness")
+
+
+def brighten(frame, parameters, *, settings=QUICK, noise=None, strength=1.0):
+    return strength * parameters.gain * frame.color
+
+
+@pytest.fixture(params=["plain", "jitted", "decorated"])
+def own(request):
+    """A filter of one's own: called by its name, and the function itself if it checks."""
+    function = {
+        "plain": brighten,
+        "jitted": jax.jit(brighten, static_argnames="settings"),
+        "decorated": jaxblur.filters.takes(OwnParameters, more=("strength",))(brighten),
+    }[request.param]
+    info = FilterInfo(name="own", summary="", function=function, parameters=OwnParameters)
+    with registered(info):
+        by_name = FILTERS["own"]
+        assert filter_info(by_name) is info is filter_info(function)
+        yield by_name, *([function] if request.param == "decorated" else [])
+
+
+def test_a_filter_of_ones_own_rejects_what_it_does_not_take(own):
+    for call in own:
+        message = refused(call, FRAME.color, OwnParameters())
+        assert message == (
+            "`frame` must be a jaxblur.Frame, got an array (7, 9, 3); pass jaxblur.Frame(color, "
+            "depth, velocity)."
+        )
+        message = refused(call, FRAME, None)
+        assert message == (
+            "`parameters` must be OwnParameters: own takes OwnParameters, not NoneType; pass "
+            "OwnParameters()."
+        ).replace("own takes", f"{call.__name__} takes")
+        assert "`parameters` of" in refused(call, FRAME)
+        assert "must be given by name" in refused(call, FRAME, OwnParameters(), QUICK)
+        assert "leave it out" in refused(call, FRAME, OwnParameters(), blur=1)
+        nan = FRAME.replace(velocity=FRAME.velocity.at[0, 0].set(jnp.nan))
+        assert "`frame.velocity` is NaN" in refused(call, nan, OwnParameters())
+        image = call(FRAME, OwnParameters(3.0), strength=2.0)
+        np.testing.assert_allclose(image, 6 * FRAME.color, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("result", "given"),
+    [(None, "NoneType"), (FRAME.depth, "an array (7, 9)"), (np.zeros((2, 9, 3)), "an array (2, 9")],
+)
+def test_a_filter_that_returns_no_image_is_named(result, given):
+    def broken(frame, parameters=None, *, settings=QUICK, noise=None):
+        return result
+
+    with registered(FilterInfo(name="broken", summary="", function=broken)):
+        message = refused(apply_filter, "broken", FRAME, {}, QUICK)
+    assert "broken must return an image, an array (7, 9, 'channels') of this frame" in message
+    assert f"got {given}" in message
 
 
 def test_a_frame_with_a_buffer_missing():

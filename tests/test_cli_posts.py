@@ -14,6 +14,7 @@ from jaxblur import (
     exr,
     layered,
     luma_hint,
+    metrics,
     posts,
 )
 from jaxblur.noise import make_noise
@@ -122,6 +123,65 @@ def test_a_picture_alone(source, tmp_path):
     assert "has been through mlaa before" in again.err
 
 
+def scored(text):
+    """The rows of a table of scores, without the numbers, and PSNR and FLIP of each."""
+    lines = text.splitlines()
+    heading = next(k for k, line in enumerate(lines) if "against truth" in line)
+    rows = [line.split() for line in lines[heading + 1 :]]
+    return [row[:-3] for row in rows], [(float(row[-3]), float(row[-1])) for row in rows]
+
+
+def test_a_picture_is_scored_against_its_truth_as_by_blur(source, tmp_path):
+    truth, out = write_frame(tmp_path / "truth.exr", seed=1), tmp_path / "out.exr"
+    printed = done("post", source, "-o", out, "--do", "fxaa", "--truth", truth).out
+    names, numbers = scored(printed)
+    assert names == [["input"], ["fxaa"]]
+    pairs = [(exr.read_image(path), exr.read_image(truth)) for path in (source, out)]
+    expected = [metrics.compare(image, right) for image, right in pairs]
+    wanted = [(float(score.psnr), float(score.flip)) for score in expected]
+    np.testing.assert_allclose(numbers, wanted, atol=6e-3)
+    assert numbers[0] != numbers[1]
+    of_blur = done("blur", source, "-o", tmp_path / "b.exr", *BLUR, "--truth", truth).out
+    heading, same = (text.splitlines()[1:3] for text in (printed, of_blur))
+    assert [line.split() for line in heading] == [line.split() for line in same]
+
+
+def test_scores_are_of_what_a_view_shows(source, tmp_path):
+    more = ("--do", "fxaa", "--truth", source, "--overwrite", "-o", tmp_path / "out.png")
+    plain = scored(done("post", source, *more).out)[1]
+    made = done("post", source, *more, "--view", "ACES 2.0 - SDR 100 nits (Rec.709)")
+    assert scored(made.out)[1][1] != plain[1]
+    assert (
+        "colors: " in made.err and "SDR 100 nits" in notes(tmp_path / "out.png")["jaxblur:colors"]
+    )
+    error = refused("post", source, "-o", tmp_path / "o.exr", "--do", "fxaa", "--view", "Filmic")
+    assert "--view must be one of" in error
+    error = refused(
+        "post", source, "-o", tmp_path / "o.exr", "--do", "fxaa", "--color-space", "ACEScg"
+    )
+    assert "or add --truth" in error
+
+
+def test_a_sequence_is_scored_frame_by_frame(tmp_path):
+    for number in (1, 2):
+        write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
+        write_frame(tmp_path / f"truth.{number:04d}.exr", seed=number + 2)
+    names = ("post", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa")
+    printed = done(*names, "--truth", tmp_path / "truth.####.exr").out
+    rows, numbers = scored(printed)
+    assert rows == [["1", "fxaa"], ["2", "fxaa"], ["mean", "input"], ["mean", "fxaa"]]
+    np.testing.assert_allclose(numbers[3], np.mean(numbers[:2], axis=0), atol=6e-3)
+    error = refused(*names, "--truth", tmp_path / "truth.0001.exr", "--overwrite")
+    assert "is one file for 2 frames" in error
+    error = refused(*names, "--truth", tmp_path / "out.####.exr", "--overwrite")
+    assert "out.0001.exr: " in error and "input" in error
+    (tmp_path / "truth.0002.exr").unlink()
+    before = (tmp_path / "out.0001.exr").stat().st_mtime_ns
+    error = refused(*names, "--truth", tmp_path / "truth.####.exr", "--overwrite")
+    assert "truth.0002.exr: no such file" in error
+    assert (tmp_path / "out.0001.exr").stat().st_mtime_ns == before, "nothing is written before"
+
+
 def test_a_sequence(tmp_path):
     for number in (1, 2):
         write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
@@ -176,6 +236,7 @@ def test_reblur_follows_the_motion(tmp_path):
         (("--do", "fxaa", "--depth", "1/z"), "--depth: --do fxaa looks at no depth; only defocus"),
         (("--do", "fxaa", "--depth-from", "z.exr"), "--depth-from: --do fxaa looks at no depth"),
         (("--do", "mlaa", "--depth-channel", "Z"), "--depth-channel: --do mlaa looks at no depth"),
+        (("--do", "mlaa", "--truth", "none.exr"), "none.exr: no such file"),
     ],
 )
 def test_refusals(source, tmp_path, options, message):

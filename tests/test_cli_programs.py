@@ -118,7 +118,7 @@ def test_a_program_that_others_can_write_is_not_read(kept):
 
 
 PLAIN = {
-    **dict.fromkeys(("no_compile_cache", "plan", "subframes", "result", "seed")),
+    **dict.fromkeys(("no_compile_cache", "plan", "subframes", "seed")),
     "posts": (),
 }
 
@@ -158,7 +158,7 @@ def test_the_plain_case_is_served(serves):
     ("name", "value"),
     [
         *(("no_compile_cache", True), ("plan", "auto"), ("subframes", "s.####.exr")),
-        *(("result", Path("compared")), ("posts", ("fxaa",)), ("seed", 3)),
+        *(("posts", ("fxaa",)), ("seed", 3)),
     ],
 )
 def test_options_that_need_jax_are_not_served(serves, name, value):

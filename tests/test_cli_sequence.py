@@ -1,5 +1,6 @@
 """``jaxblur blur`` on sequences: every frame, whatever happens in between."""
 
+import argparse
 import fcntl
 import json
 import os
@@ -9,13 +10,14 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from jaxblur import exr
-from jaxblur.cli import blurring
-from jaxblur.cli.sequence import frame_work, run as sequence_run
+from jaxblur.cli import blurring, outputs
+from jaxblur.cli.sequence import frame_work, names_of, run as sequence_run
 from tests.command_line import refused, run, spawn
 from tests.exr_files import plain_frame, write_single
 
@@ -353,6 +355,23 @@ def test_a_png_beside_every_frame(shot):
     assert "1 kept" in run(*command, "--png", "--frames", "1001").out
 
 
+def test_an_option_that_is_new_leaves_outputs_as_they_are(shot, monkeypatch):
+    command = (*shot[1], "--frames", "1001")
+    assert "1 written" in run(*command).out
+    add = outputs.add_output_option
+
+    def add_more(parser):
+        add(parser)
+        parser.add_argument("--brand-new", type=int, default=8)
+
+    monkeypatch.setattr(outputs, "add_output_option", add_more)
+    assert "1 kept" in run(*command).out
+    assert "1 kept" in run(*command, "--brand-new", "8").out, "as by default"
+    assert "was made with other parameters" in refused(*command, "--brand-new", "9")
+    assert "1 kept" in run(*command, "--shutter", "180deg").out, "as by default"
+    assert "was made with other parameters" in refused(*command, "--shutter", "170deg")
+
+
 @pytest.mark.parametrize("suffix", ["tif", "jpg"])
 def test_a_sequence_of_pictures_continues_where_it_stopped(shot, suffix):
     path, command = shot
@@ -373,6 +392,7 @@ def test_a_sequence_of_pictures_continues_where_it_stopped(shot, suffix):
         ({"input": "in.1001.exr", "--cut": "1001"}, ("--cut: is for sequences",)),
         ({"input": "in.1001.exr", "--scheduler": "local"}, ("--scheduler: is for sequences",)),
         ({"input": "no.####.exr"}, ("no.####.exr: no such frames",)),
+        ({"input": "inn.####.exr"}, ("no such frames; near that name there is", "in.####.exr'")),
         ({"input": "in.%05d.exr"}, ("asks for 5 digits, and there is in.1001.exr and", "in.####")),
         ({"--frames": "7-9"}, ("in.0007.exr: no such file, nor any other",)),
         ({"--frames": "a-b"}, ("--frames: expected frames such as",)),
@@ -470,3 +490,14 @@ def test_a_frame_of_another_size_is_reported(shot):
         assert "error: frame 1003: has 24x20 pixels, most frames have " in outcome.err
         assert written(path) == all_names(), "nothing is lost"
     assert run(*command, "--allow-resize").status == 0
+
+
+def test_workers_get_whole_paths_of_files_that_serve_all_frames(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = argparse.Namespace(input=Path("in.####.exr"), depth_from=Path("depth.exr"))
+    given.scheduler = "local"
+    names = names_of(given, ("input", "depth_from"))
+    assert names["depth_from"] == tmp_path / "depth.exr"
+    assert names["input"].path(1) == tmp_path / "in.0001.exr"
+    given.scheduler = None
+    assert names_of(given, ("depth_from",))["depth_from"] == Path("depth.exr")

@@ -80,6 +80,31 @@ def test_vectors_that_move_nothing_are_told(tmp_path, scale, words):
     assert words in outcome.err
 
 
+@pytest.mark.parametrize(
+    ("scale", "more", "words"),
+    [
+        (0.0, (), "all vectors are zero: was the pass rendered?"),
+        (4.0, ("--shutter", "0"), "the exposure is 0; check --shutter"),
+        (4.0, (), None),
+    ],
+)
+def test_a_dry_run_tells_that_nothing_moves(tmp_path, scale, more, words):
+    frame = frame_with_vectors(tmp_path, scale)
+    planned = run("blur", frame, "-o", tmp_path / "out.exr", *FAST, *more, "--dry-run")
+    assert planned.status == 0 and "write" in planned.out
+    frame = frame.rename(tmp_path / "in.0007.exr")
+    names = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr")
+    sequence = run("blur", *names, *FAST, *more, "--dry-run")
+    assert sequence.status == 0 and "1 blur" in sequence.out
+    for outcome in (planned, sequence):
+        assert ("nothing moves, so nothing is blurred" in outcome.err) == (words is not None)
+        assert words is None or words in outcome.err
+    frame.write_bytes(frame.read_bytes()[:400])
+    damaged = run("blur", *names, *FAST, *more, "--dry-run")
+    assert damaged.status == 0 and "1 blur" in damaged.out
+    assert not list(tmp_path.glob("out*"))
+
+
 def test_motion_is_not_told(tmp_path):
     frame = frame_with_vectors(tmp_path, 4.0)
     outcome = run("blur", frame, "-o", tmp_path / "out.exr", *FAST, "--require-motion")

@@ -141,7 +141,7 @@ def test_unknown_names_are_refused_with_those_there_are(tmp_path):
     line = refused("blur", source, "-o", tmp_path / "o.png", "--color-space", "Foo")
     assert "--color-space must be one of" in line and "ACEScg" in line
     line = refused("blur", source, "-o", tmp_path / "o.exr", "--view", VIEW)
-    assert "add --png or --truth" in line
+    assert "write a picture, such as .png, or add --truth" in line
     with pytest.raises(ValueError, match="`view` must be one of"):
         exr.write_image(tmp_path / "o.png", exr.read_image(source), view="Filmic")
     assert not list(tmp_path.glob("o.*"))

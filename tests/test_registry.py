@@ -324,7 +324,7 @@ def test_plugins_are_found_and_broken_ones_are_named(tmp_path):
     code = (
         "import sys\nfrom jaxblur.filters.registry import filter_info, names\n"
         "filter_info('layered')\nprint('blurs' in sys.modules)\n"
-        "print(filter_info('mine').call is print, 'jax' in sys.modules)\nprint(*names())"
+        "print(filter_info('mine').function is print, 'jax' in sys.modules)\nprint(*names())"
     )
     path = os.pathsep.join([str(tmp_path), *sys.path])
     found = subprocess.run(

@@ -317,6 +317,79 @@ def test_colors_follow_the_system(page, scheme, dark):
     assert scroll == "auto"
 
 
+@pytest.fixture(scope="module")
+def bare_file(tmp_path_factory):
+    """Two shots without a truth, the first with vectors."""
+    folder = tmp_path_factory.mktemp("bare")
+    velocity = np.zeros((*SHAPE, 2), np.float32)
+    # Right at the left end of the middle row, up at its right end, rest between.
+    velocity[:, :16], velocity[:, 48:] = (8, 0), (0, -4)
+    pictures = [Picture("input", ramp(0)), Picture("layered", ramp(1), 12.0)]
+    shots = [
+        Shot("first", None, pictures, velocity=velocity),
+        Shot("second", None, [Picture("input", ramp(2))]),
+    ]
+    write_result(folder, "bare", shots)
+    path = folder / "page.html"
+    path.write_text(build_page(read_result(folder)).html, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def bare(browser, bare_file):
+    problems = []
+    with browser.new_context(viewport={"width": 1280, "height": 900}) as context:
+        opened = context.new_page()
+        opened.on("console", lambda message: problems.append(message.text))
+        opened.on("pageerror", lambda error: problems.append(str(error)))
+        opened.goto(bare_file.as_uri())
+        drawn(opened)
+        yield opened
+        assert problems == []
+
+
+def test_without_a_truth_the_output_is_compared_with_the_input(bare):
+    assert "layered" in chosen(bare) and color(bare)[1] > 150
+    set_range(bare, "slide", 50)
+    left, right = color(bare, 0.25), color(bare, 0.75)
+    assert left[1] > 100 and left[0] == 0 and right[0] > 100 and right[1] == 0
+    assert bare.locator("#tag-right").inner_text() == "input"
+    assert bare.get_by_role("heading", name="Methods").count() == 1
+    heads = bare.locator("#scores thead th").all_inner_texts()
+    assert heads == ["shot", "method", "milliseconds"]
+    assert bare.locator("#scores tbody td:nth-child(3)").all_inner_texts() == ["", "12", ""]
+
+
+def test_without_a_truth_there_is_no_error_to_show(bare):
+    assert bare.get_by_role("button", name="FLIP map").count() == 0
+    shown = color(bare)
+    for key in ("t", "f"):
+        bare.keyboard.press(key)
+        assert color(bare) == shown and "layered" in chosen(bare)
+    label = bare.locator("#canvas").get_attribute("aria-label")
+    assert label == "Picture of first by layered"
+
+
+def test_motion_vectors_are_shown_as_colors_and_as_numbers(bare):
+    bare.get_by_role("radio", name="motion vectors").click()
+    assert color(bare, 0.1) == [255, 0, 0], "right is red, the fastest in full color"
+    assert color(bare, 0.5) == [255, 255, 255], "rest is white"
+    assert color(bare, 0.9) == pytest.approx([191, 128, 255], abs=2), "up is violet, at half speed"
+    set_range(bare, "exposure", 1)
+    assert color(bare, 0.9) == pytest.approx([128, 0, 255], abs=2), "a stop shows half the speed"
+    box = bare.locator("#canvas").bounding_box()
+    bare.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + 0.5 * box["height"])
+    readout = bare.locator("#readout").inner_text()
+    assert re.search(r"motion vectors: x -?0\.00 y -4\.00 px", readout), readout
+    assert "input: R 0.9" in readout
+
+
+def test_a_shot_with_one_picture_and_nothing_else_is_shown(bare):
+    bare.locator("#shot").select_option("second")
+    assert color(bare)[2] > 150
+    assert bare.get_by_role("radio").count() == 1
+
+
 def test_without_times_there_is_no_plot_and_names_in_tables_stay_whole(browser, tmp_path):
     name = "seq_0040_shot_0120_beauty_v003.1001.exr"
     settings = {f"a_long_setting_{number}": "a value" for number in range(12)}

@@ -9,7 +9,15 @@ import pytest
 import jaxblur
 from jaxblur import metrics
 from jaxblur.exr import JaxblurIOError
-from jaxblur.report import MANIFEST, Picture, Shot, build_page, read_result, write_result
+from jaxblur.report import (
+    MANIFEST,
+    Picture,
+    Shot,
+    build_page,
+    in_view,
+    read_result,
+    write_result,
+)
 from jaxblur.report.png import png_bytes, shared_exponent
 
 from .command_line import refused, run, spawn
@@ -37,6 +45,13 @@ def folder(tmp_path):
     return tmp_path / "result"
 
 
+def velocity(shape=(16, 24)):
+    """Vectors of one pixel at the lower right, where nothing else moves."""
+    vectors = np.zeros((*shape, 2), np.float32)
+    vectors[-4, -5] = (3.25, -0.5)
+    return vectors
+
+
 def change(folder, edit):
     content = json.loads((folder / MANIFEST).read_text())
     edit(content)
@@ -50,7 +65,7 @@ def test_what_is_written_is_read_back(folder):
     assert (result.title, result.settings) == ("A title", {"shutter": 0.5})
     assert result.versions["jaxblur"] == jaxblur.__version__
     assert (shot.name, shot.hashes) == ("a shot", {"frame.exr": "12ab"})
-    np.testing.assert_allclose(shot.truth, truth, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(np.asarray(shot.truth), truth, rtol=1e-3, atol=1e-4)
     slow, figures = shot.pictures
     assert slow.image is not None
     np.testing.assert_allclose(slow.image, other, rtol=1e-3, atol=1e-4)
@@ -84,6 +99,38 @@ def test_a_result_that_was_interrupted_does_not_count(folder):
         read_result(folder)
 
 
+def test_a_shot_without_a_truth_has_pictures_and_motion_and_no_scores(tmp_path):
+    truth, other = images()
+    pictures = [Picture("input", truth), Picture("blurred", other, 7.0)]
+    write_result(tmp_path, "T", [Shot("a shot", None, pictures, velocity=velocity())])
+    (shot,) = read_result(tmp_path).shots
+    assert shot.truth is None and shot.sha256 is None and shot.size == (16, 24)
+    assert shot.velocity is not None
+    np.testing.assert_array_equal(shot.velocity, velocity())
+    assert [picture.scores for picture in shot.pictures] == [{}, {}]
+    assert [picture.flip for picture in shot.pictures] == [None, None]
+    assert shot.pictures[1].milliseconds == 7.0
+    html = build_page(read_result(tmp_path)).html
+    assert "milliseconds" in html and "against the truth" not in html
+    assert 'id="plot"' not in html
+
+
+def test_a_result_of_an_older_version_which_knew_no_motion_is_read(folder):
+    change(folder, lambda content: content["shots"][0].pop("velocity"))
+    (shot,) = read_result(folder).shots
+    assert shot.velocity is None and shot.truth is not None
+
+
+def test_a_view_converts_pictures_that_have_no_truth(tmp_path):
+    truth, _ = images()
+    write_result(tmp_path, "T", [Shot("a shot", None, [Picture("input", truth)])])
+    result = read_result(tmp_path)
+    (shot,) = in_view(result, "ACES 2.0 - SDR 100 nits (Rec.709)").shots
+    assert shot.truth is None and shot.pictures[0].scores == {}
+    (after,), (before,) = shot.pictures, result.shots[0].pictures
+    assert not np.allclose(np.asarray(after.image), np.asarray(before.image))
+
+
 def twice():
     return [dataclasses.replace(shots()[0]), *shots()]
 
@@ -103,7 +150,16 @@ def another_size():
         (list, "at least one shot"),
         (twice, "'a shot' occurs twice"),
         (double_picture, "'slow' occurs twice"),
-        (another_size, "`b` must have the size of its truth"),
+        (another_size, "`b` must have the size of its shot"),
+        (lambda: [Shot("a", None, [])], "`a` must have a truth or a picture with an image"),
+        (
+            lambda: [Shot("a", images()[0], [], velocity=velocity((8, 24)))],
+            "`velocity` must have the size of its shot",
+        ),
+        (
+            lambda: [Shot("a", images()[0], [], velocity=np.full((16, 24, 2), np.inf))],
+            "`velocity` must be finite",
+        ),
     ],
 )
 def test_inconsistent_results_are_rejected(tmp_path, make, message):
@@ -125,6 +181,13 @@ def test_inconsistent_results_are_rejected(tmp_path, make, message):
         (lambda c: c["shots"][0]["truth"].update(sha256="00"), "its hash differs"),
         (lambda c: c["shots"][0]["truth"].update(file="pictures/none.exr"), "none.exr"),
         (lambda c: c["shots"].append([]), "'truth' is missing"),
+        (lambda c: c["shots"][0].update(truth=3), "'truth' must be dict or null"),
+        (lambda c: c["shots"][0].update(velocity=[]), "'velocity' must be dict or null"),
+        (lambda c: c["shots"][0].update(velocity=c["shots"][0]["truth"]), "no channel"),
+        (
+            lambda c: c["shots"][0].update(truth=None, pictures=[]),
+            "must have a truth or a picture with an image. Write the result again",
+        ),
     ],
 )
 def test_a_damaged_manifest_is_an_error_that_names_file_and_key(folder, edit, message):
@@ -197,6 +260,17 @@ def test_a_page_that_would_be_too_large_is_cropped_around_the_error(tmp_path):
     assert f"{width} x {height} of 320 x 240" in page.html
     with pytest.raises(ValueError, match="too small for 1 shots"):
         build_page(result, 0.01)
+
+
+@pytest.mark.slow
+def test_without_a_truth_a_page_is_cropped_to_the_motion(tmp_path):
+    picture = Picture("b", images((240, 320))[0])
+    write_result(tmp_path, "T", [Shot("a", None, [picture], velocity=velocity((240, 320)))])
+    (warning,) = build_page(read_result(tmp_path), 0.1).warnings
+    width, height, left, top = map(
+        int, re.findall(r"cropped to (\d+)x(\d+) .* column (\d+), row (\d+)", warning)[0]
+    )
+    assert left <= 315 < left + width and top <= 236 < top + height
 
 
 def test_the_command_writes_one_page(folder, tmp_path):

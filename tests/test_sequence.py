@@ -102,6 +102,15 @@ def test_frames_on_disk_are_those_of_this_padding(tmp_path):
     assert parse_names(tmp_path / "t.####.exr").frames_on_disk() == []
 
 
+def test_patterns_in_the_folder_that_are_like_a_mistyped_one(tmp_path):
+    for name in ("beauty.0001", "beauty.0002", "depth.0001", "zz.1", "notes"):
+        (tmp_path / f"{name}.exr").touch()
+    near = parse_names(tmp_path / "baeuty.####.exr").near_patterns()
+    assert near[0] == str(tmp_path / "beauty.####.exr") and len(near) <= 3
+    assert parse_names(tmp_path / "qqqqqqqqqq_%04d.tif").near_patterns() == []
+    assert parse_names(tmp_path / "beauty.####.exr").near_patterns() == [], "it is there"
+
+
 @pytest.mark.parametrize(
     ("text", "frames"),
     [

@@ -24,6 +24,16 @@ def write_views(folder, name="in.{}.exr", views=VIEWS):
         write_single(folder / name.format(view), plain_frame(SHAPE, seed=number))
 
 
+def write_both(path, views=VIEWS, seed=0):
+    """Write a file with two views, each by its own depth and vectors."""
+    first, second = plain_frame(SHAPE, seed=seed), plain_frame(SHAPE, seed=seed + 1)
+    channels = first | {f"{views[1]}.{name}": plane for name, plane in second.items()}
+    spec = make_spec(channels)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), views)
+    write_parts(path, [(spec, channels)])
+    return path
+
+
 def blurred(path, seed=None, samples=5, noise=None):
     """A file as the library blurs it."""
     settings = jaxblur.GuertinSettings(samples=samples, radius=4)
@@ -110,6 +120,86 @@ def test_a_view_without_a_truth_is_missing(tmp_path):
     assert "truth.right.0001.exr" in line and not list(tmp_path.glob("out*"))
 
 
+def psnr_of(text, heading):
+    """The words and the PSNR of each row of a table of scores."""
+    lines = [line.split() for line in text.splitlines()]
+    start = next(k for k, line in enumerate(lines) if line[: len(heading)] == heading)
+    return [(line[:-3], line[-3]) for line in lines[start + 1 :]]
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_file_of_both_views_is_scored_against_a_truth_for_each(tmp_path, command):
+    write_views(tmp_path, "truth.{}.exr")
+    path = write_both(tmp_path / "in.exr")
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    what = "guertin2014" if command == "blur" else "fxaa"
+    made = run(
+        command, path, "-o", tmp_path / "out.exr", "--truth", tmp_path / "truth.%V.exr", *more
+    )
+    assert made.status == 0, made.err
+    rows = psnr_of(made.out, ["against"])
+    assert [words for words, _ in rows] == [[v, name] for v in VIEWS for name in ("input", what)]
+    # Each truth is the input of its view.
+    assert [value == "inf" for _, value in rows] == [True, False, True, False]
+    one = (command, path, "-o", tmp_path / "one.exr", "--views", "right", *more)
+    made = run(*one, "--truth", tmp_path / "truth.%V.exr")
+    assert made.status == 0, made.err
+    assert psnr_of(made.out, ["against"])[0] == (["input"], "inf")
+    (tmp_path / "truth.right.exr").unlink()
+    line = refused(*one, "--overwrite", "--truth", tmp_path / "truth.%V.exr")
+    assert "truth.right.exr: no such file" in line
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_sequence_of_files_of_both_views_is_scored_against_a_truth_for_each(tmp_path, command):
+    for number in (1, 2):
+        write_views(tmp_path, f"truth.{{}}.{number:04d}.exr")
+        write_both(tmp_path / f"in.{number:04d}.exr")
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    names = (command, tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", *more)
+    truth = ("--truth", tmp_path / "truth.%V.####.exr")
+    result = ("--result", tmp_path / "result") if command == "blur" else ()
+    made = run(*names, *truth, *result)
+    assert made.status == 0, made.err
+    rows = psnr_of(made.out, ["frame", "against"])
+    means = {tuple(words): value for words, value in rows if words[0] == "mean"}
+    assert {words[1:]: value == "inf" for words, value in means.items()} == {
+        (view, name): name == "input"
+        for view in VIEWS
+        for name in ("input", more[-1] if command == "post" else "guertin2014")
+    }
+    if command == "post":
+        return
+    shots = read_result(tmp_path / "result").shots
+    assert [shot.name for shot in shots] == [f"frame {n} {view}" for n in (1, 2) for view in VIEWS]
+    assert [shot.pictures[0].scores["psnr"] for shot in shots] == 4 * [np.inf]
+    assert "truth.right.0002.exr" in shots[3].hashes
+    (tmp_path / "truth.right.0002.exr").touch()
+    assert "2 kept" in run(*names, *truth).out, "a truth changes no pixel"
+    (tmp_path / "truth.right.0002.exr").unlink()
+    made = run(*names, *truth)
+    assert made.status == 1 and "truth.right.0002.exr: no such file" in made.err
+
+
+@pytest.mark.parametrize("command", ["blur", "post"])
+def test_a_file_of_each_view_is_scored_against_one_truth_that_holds_both(tmp_path, command):
+    more = FEW if command == "blur" else ("--do", "fxaa")
+    for number in (1, 2):
+        write_views(tmp_path, f"in.{{}}.{number:04d}.exr")
+        write_both(tmp_path / f"truth.{number:04d}.exr")
+    names = (command, tmp_path / "in.%V.0001.exr", "-o", tmp_path / "out.%V.exr", *more)
+    made = run(*names, "--truth", tmp_path / "truth.0001.exr")
+    assert made.status == 0, made.err
+    assert [v == "inf" for _, v in psnr_of(made.out, ["against"])] == [True, False, True, False]
+    names = (command, tmp_path / "in.%V.####.exr", "-o", tmp_path / "out.%V.####.exr", *more)
+    made = run(*names, "--truth", tmp_path / "truth.####.exr")
+    assert made.status == 0, made.err
+    means = [v for words, v in psnr_of(made.out, ["frame"]) if words[0] == "mean"]
+    assert [value == "inf" for value in means] == [True, False, True, False]
+    if command == "blur":
+        assert "4 kept" in run(*names).out, "a truth changes no pixel"
+
+
 def with_camera(path, x, frame, views=()):
     """Write a frame whose header has a camera at ``x`` that looks along -z, for all its views."""
     height, width = SHAPE
@@ -166,7 +256,19 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
         ),
         (
             ("in.%V.exr", "-o", "out.%V.exr", "--truth", "in.left.exr"),
-            "--truth: in.left.exr is one file for the views left, right",
+            "in.left.exr: truth: no view 'left', and each view is compared with its own truth",
+        ),
+        (
+            ("both.left.exr", "-o", "out.exr", "--velocity-from", "in.%V.exr"),
+            "--velocity-from: in.%V.exr has %V",
+        ),
+        (
+            ("named.exr", "-o", "out.exr", "--truth", "in.%V.exr"),
+            "in in.%V.exr, %V stands for left, right, but named.exr has a view top",
+        ),
+        (
+            ("in.%V.exr", "-o", "out.%V.exr", "--truth", "both.left.exr", "--truth-layer", "left"),
+            "--truth-layer: each of the views left, right",
         ),
         (
             ("in.%V.exr", "-o", "out.%V.exr", "--velocity-from", "in.left.exr"),
@@ -192,12 +294,9 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
 def test_names_that_do_not_fit_are_refused(tmp_path, monkeypatch, given, words):
     monkeypatch.chdir(tmp_path)
     write_views(tmp_path)
-    channels = plain_frame(SHAPE)
-    channels |= {f"right.{name}": channels[name] for name in "RGB"}
-    spec = make_spec(channels)
-    spec.attribute("multiView", oiio.TypeDesc("string[2]"), VIEWS)
     for view in VIEWS:
-        write_parts(tmp_path / f"both.{view}.exr", [(spec, channels)])
+        write_both(tmp_path / f"both.{view}.exr")
+    write_both(tmp_path / "named.exr", ("top", "bottom"))
     assert words in refused("blur", *given, *FEW)
     assert not list(tmp_path.glob("out*"))
 
@@ -221,6 +320,112 @@ def test_post_takes_the_file_of_each_view(tmp_path):
         made = exr.read_image(tmp_path / f"out.{view}.2.exr")
         np.testing.assert_allclose(made, wanted, atol=1e-6)
         assert np.abs(made - sharp).max() > 0
+
+
+def test_post_scores_each_view_against_the_truth_for_it(tmp_path):
+    write_views(tmp_path)
+    names = ("post", tmp_path / "in.%V.exr", "-o", tmp_path / "out.%V.exr", "--do", "fxaa")
+    made = run(*names, "--truth", tmp_path / "in.%V.exr")
+    assert made.status == 0, made.err
+    rows = [line.split() for line in made.out.splitlines()[3:]]
+    assert [row[:2] for row in rows] == [[v, what] for v in VIEWS for what in ("input", "fxaa")]
+    assert [row[2] == "inf" for row in rows] == [True, False, True, False]
+    line = refused(*names, "--truth", tmp_path / "in.left.exr", "--overwrite")
+    assert "in.left.exr: truth: no view 'left'" in line
+
+
+def test_info_lists_the_file_of_each_view(tmp_path):
+    for number in (1, 2):
+        write_views(tmp_path, f"in.{{}}.{number:04d}.exr", ("left", "right", "top"))
+    listed = run("info", tmp_path / "in.%V.####.exr")
+    assert listed.status == 0, listed.err
+    found = [line.partition(": as")[0] for line in listed.out.splitlines() if ".exr" in line]
+    assert found == [str(tmp_path / f"in.{view}.000{n}.exr") for view in VIEWS for n in (1, 2)]
+    listed = run("info", tmp_path / "in.%V.0001.exr", "--views", "top", "--json")
+    assert json.loads(listed.out)["path"] == str(tmp_path / "in.top.0001.exr")
+    isolated = run("info", tmp_path / "in.%V.0001.exr", "--views", "top,left", "--isolate")
+    assert isolated.status == 0, isolated.err
+    line = refused("info", tmp_path / "in.top.0001.exr", "--views", "top")
+    assert "--views: no file has %V" in line
+    missing = run("info", tmp_path / "in.%V.0001.exr", "--views", "left,bottom")
+    assert missing.status == 1 and "in.bottom.0001.exr: no such file" in missing.err
+
+
+def write_layers(folder, names):
+    for number, view in enumerate(VIEWS):
+        frame = plain_frame(SHAPE, seed=number)
+        for name in names:
+            path = folder / name.format(view)
+            write_single(path, frame | {"A": np.ones_like(frame["Z"])})
+
+
+def test_layers_have_neighbors_for_each_view(tmp_path):
+    names = [f"{name}.{{}}.{frame}.exr" for name in ("front", "back") for frame in (1, 2)]
+    write_layers(tmp_path, names)
+    layers = (tmp_path / "front.%V.1.exr", tmp_path / "back.%V.1.exr")
+    after = (tmp_path / "front.%V.2.exr", tmp_path / "back.%V.2.exr")
+    command = ("layers", *layers, "-o", tmp_path / "out.%V.exr")
+    planned = run(*command, "--after", *after, "--dry-run")
+    assert planned.status == 0, planned.err
+    rows = [line.split() for line in planned.out.splitlines()[1:]]
+    assert [row[1] for row in rows if row[0] == "read"] == [
+        str(tmp_path / f"{name}.{view}.{frame}.exr")
+        for view in VIEWS
+        for frame in (1, 2)
+        for name in ("front", "back")
+    ]
+    line = refused(*command, "--after", after[0], tmp_path / "back.left.2.exr")
+    assert "--after: " in line and "back.left.2.exr is one file for the views" in line
+    plain = ("layers", tmp_path / "front.left.1.exr", "-o", tmp_path / "out.exr")
+    assert "--after: " in refused(*plain, "--after", after[0])
+    line = refused("layers", tmp_path / "front.left.1.exr", layers[1], "-o", tmp_path / "out.exr")
+    assert f"error: {layers[1]} has %V" in line
+    # A plate may be the same for both eyes, and then is so in the frame after.
+    plate = tmp_path / "back.left.1.exr"
+    planned = run(*command[:2], plate, *command[3:], "--after", after[0], plate, "--dry-run")
+    assert planned.status == 0, planned.err
+
+
+@pytest.mark.slow
+def test_layers_with_neighbors_for_each_view_are_blurred(tmp_path):
+    layers = ("front", "back")
+    write_layers(tmp_path, [f"{name}.{{}}.{frame}.exr" for name in layers for frame in (1, 2)])
+    for view, output, more in (
+        ("%V", "out.%V.exr", ()),
+        ("left", "alone.left.exr", ()),
+        ("right", "alone.right.exr", ("--seed", SEED_OF_A_VIEW)),
+    ):
+        now, after = ([tmp_path / f"{name}.{view}.{k}.exr" for name in layers] for k in (1, 2))
+        few = ("--preset", "jaxblur", "--samples", "5", "--radius", "4")
+        made = run("layers", *now, "-o", tmp_path / output, "--after", *after, *few, *more)
+        assert made.status == 0, made.err
+    for view in VIEWS:
+        made, wanted = (tmp_path / f"{name}.{view}.exr" for name in ("out", "alone"))
+        np.testing.assert_array_equal(exr.read_image(made), exr.read_image(wanted))
+        notes = exr.inspect(made).parts[0].attributes
+        assert notes["jaxblur:neighbors"] == f"after front.{view}.2.exr"
+
+
+@pytest.mark.slow
+def test_workers_blur_the_files_of_each_view(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="comes with jaxblur[dask]")
+    monkeypatch.chdir(tmp_path)
+    for view, x in (("left", 1.0), ("right", 1.5)):
+        with_camera(tmp_path / f"in.{view}.0001.exr", x, plain_frame(SHAPE))
+        write_single(tmp_path / f"truth.{view}.0001.exr", plain_frame(SHAPE))
+    names = ("blur", "in.%V.####.exr", "--truth", "truth.%V.####.exr", "--disparity", "cameras")
+    outcomes = []
+    for folder, more in (("alone", ()), ("workers", ("--scheduler", "local", "--workers", "1"))):
+        (tmp_path / folder).mkdir()
+        output = f"{folder}/out.%V.####.exr"
+        outcomes.append(run(*names, "-o", output, "--result", f"{folder}/result", *FEW, *more))
+        assert outcomes[-1].status == 0, outcomes[-1].err
+    alone, workers = (outcome.out.splitlines()[1:] for outcome in outcomes)
+    assert alone == workers and len(alone) == 7
+    for view in VIEWS:
+        made, wanted = (tmp_path / f"{f}/out.{view}.0001.exr" for f in ("workers", "alone"))
+        assert made.read_bytes() == wanted.read_bytes()
+    assert len(read_result(tmp_path / "workers/result").shots) == 2
 
 
 def test_layers_have_a_file_for_each_view(tmp_path):

@@ -36,6 +36,8 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, and reject what is unknown here, where the command's own help can be named.
 
+        The result has the defaults of a command's options by name in ``option_defaults``.
+
         Raises:
             CommandError: an option is unknown, or something is left over.
         """
@@ -48,6 +50,8 @@ class Parser(argparse.ArgumentParser):
                 given = [text for text in texts if text not in left and text[:1] != "-"]
                 remedy = f": {self.instead_of_more(given, left)}"
             self.error(f"unexpected {' '.join(left)}{remedy}")
+        if self._subparsers is None:
+            found.option_defaults = {name: self.get_default(name) for name in vars(found)}
         return found, left
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -93,6 +93,9 @@ def apply_filter(
 
     Returns:
         (H, W, C) NumPy array, or what `call` gives.
+
+    Raises:
+        ValueError: the filter gives something else.
     """
     import numpy as np
 
@@ -103,7 +106,15 @@ def apply_filter(
     settings = checked_settings(settings, info.kind, info.name)
     values = info.make_parameters(**parameters)
     function: Any = call or info.call
-    return np.asarray(function(frame, values, settings=settings, noise=noise, **(neighbors or {})))
+    image = function(frame, values, settings=settings, noise=noise, **(neighbors or {}))
+    size, shape = frame.depth.shape, getattr(image, "shape", None)
+    if call is None and (shape is None or len(shape) != 3 or shape[:2] != size):
+        given = type(image).__name__ if shape is None else f"an array {shape}"
+        raise ValueError(
+            f"{info.name} must return an image, an array {(*size, 'channels')} of this frame, got "
+            f"{given}; return what jaxblur.kernels.each_pixel gives."
+        )
+    return np.asarray(image)
 
 
 def noise_of(settings: Settings, seed: int | None, loaded: Loaded) -> Any:

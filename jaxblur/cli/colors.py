@@ -25,12 +25,17 @@ def add_view_option(parser: Any, what: str) -> None:
     )
 
 
-def add_color_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of how colors are shown; `check_colors` and `shown_colors` read them."""
+def add_color_options(parser: argparse.ArgumentParser, shown: str = "pictures and scores") -> None:
+    """Add the options of how colors are shown; `check_colors` and `shown_colors` read them.
+
+    Args:
+        parser: of a command.
+        shown: what the command shows.
+    """
     group = parser.add_argument_group(
-        "colors of pictures, scores and reports; an .exr and floats in a .tif keep their own"
+        f"colors of {shown}; an .exr and floats in a .tif keep their own"
     )
-    add_view_option(group, "pictures, scores and --result")
+    add_view_option(group, shown)
     group.add_argument(
         "--color-space",
         metavar="NAME",
@@ -56,7 +61,7 @@ def check_colors(arguments: argparse.Namespace) -> None:
         option = "--view" if arguments.view else "--color-space"
         raise CommandError(
             f"{option}: is for pictures and scores, and an .exr and floats in a .tif keep their "
-            "colors; add --png or --truth, or leave it out."
+            "colors; write a picture, such as .png, or add --truth, or leave it out."
         )
 
 
@@ -80,9 +85,9 @@ def shown_colors(arguments: argparse.Namespace, path: pathlib.Path, channel: str
 
 
 def _shows_any(arguments: argparse.Namespace) -> bool:
-    """Whether a command writes scores, or a picture as a screen shows it."""
+    """Whether a command writes scores, a result, or a picture as a screen shows it."""
     from jaxblur import exr
 
     output, bits = arguments.output, arguments.bits
     shown = output.suffix.lower() in exr.BITS and exr.bits_of(output, bits) != exr.LINEAR_BITS
-    return bool(shown or arguments.png or arguments.truth is not None)
+    return shown or any(getattr(arguments, name, None) for name in ("png", "truth", "result"))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxblur.settings import Settings
 
-from . import layer_reading, posts, sources, stack, strength
+from . import layer_reading, posts, sources, stack, strength, view_files
 from .arguments import CommandError
 from .colors import shown_colors
 from .disparity import disparity_of
@@ -177,20 +177,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
 
     source = source or read(arguments)
     buffers = source.buffers
-    truth = None
-    if arguments.truth is not None:
-        from jaxblur import metrics
-
-        height, width = buffers.color.shape[:2]
-        if min(height, width) < (least := metrics.SSIM_WINDOW):
-            raise CommandError(
-                f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
-                f"{least}x{least} or more (the window of SSIM); leave it out."
-            )
-        stored, colors = read_truth(arguments, buffers.color.shape, arguments.view)
-        if not colors.is_identity:
-            LOG.info("colors of the truth: %s", colors.words)
-        truth = colors.light(stored)
+    truth = shown_truth(arguments, buffers.color.shape)
     velocity = buffers.velocity
     exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
@@ -216,6 +203,26 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         layers=source.layers,
         disparity=disparity_of(arguments, buffers.depth),
     )
+
+
+def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
+    """Say whether nothing moves in a frame that is not blurred now, by reading it.
+
+    Args:
+        arguments: of the command, for a frame or a view of it.
+        settings: as for `load`.
+
+    Raises:
+        JaxblurIOError: a file is missing, damaged or holds something else.
+        CommandError: nothing moves, and motion is required.
+    """
+    if arguments.shutter == 0:
+        LOG.warning(
+            "%s: nothing moves, so nothing is blurred: the exposure is 0; check --shutter.",
+            arguments.input,
+        )
+        return
+    load(argparse.Namespace(**vars(arguments) | {"truth": None}), settings)
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:
@@ -257,6 +264,36 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
 
 
+def shown_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+    """Read the truth for scores, if the arguments name one.
+
+    Args:
+        arguments: of the command.
+        shape: of the picture of the frame.
+
+    Returns:
+        (H, W, C) linear light that a screen shows, or None.
+
+    Raises:
+        JaxblurIOError: the file is missing, damaged or holds something else.
+        CommandError: it has another size than the frame, or one that has no scores.
+    """
+    if arguments.truth is None:
+        return None
+    from jaxblur import metrics
+
+    height, width = shape[:2]
+    if min(height, width) < (least := metrics.SSIM_WINDOW):
+        raise CommandError(
+            f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
+            f"{least}x{least} or more (the window of SSIM); leave it out."
+        )
+    stored, colors = read_truth(arguments, shape, arguments.view)
+    if not colors.is_identity:
+        LOG.info("colors of the truth: %s", colors.words)
+    return colors.light(stored)
+
+
 def read_truth(
     arguments: argparse.Namespace, shape: tuple[int, ...], view: str | None
 ) -> tuple[Any, Any]:
@@ -277,9 +314,9 @@ def read_truth(
     from jaxblur import exr
 
     info, layer = exr.inspect(arguments.truth), arguments.truth_layer
-    if layer is None and arguments.layer in exr.views_of(info):
+    if layer is None and (eye := view_files.name_of(arguments)) in exr.views_of(info):
         # A view is compared with the truth for the same eye.
-        layer = arguments.layer
+        layer = eye
     channel = exr.choose_color(info, layer).channels[0]
     truth = exr.read_image(arguments.truth, layer)
     if truth.shape[:2] != shape[:2]:

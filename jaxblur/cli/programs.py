@@ -45,7 +45,7 @@ def serves(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> boo
     info, buffers = filter_info(chosen.name), loaded.buffers
     needs_jax = (
         *(arguments.no_compile_cache, arguments.plan, arguments.subframes),
-        *(arguments.posts, arguments.result),
+        arguments.posts,
         *(loaded.neighbors, loaded.exposure, loaded.layers, loaded.ranks),
         loaded.disparity is not None,
         *(loaded.truth is not None, loaded.lens is not None),

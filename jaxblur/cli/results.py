@@ -1,4 +1,4 @@
-"""``blur --result``: write pictures and scores to a folder for ``jaxblur report``."""
+"""``blur --result``: write pictures, motion and scores to a folder for ``jaxblur report``."""
 
 import argparse
 import dataclasses
@@ -10,13 +10,14 @@ from typing import Any
 from jaxblur.settings import Settings
 
 from . import view_files, views
-from .arguments import CommandError, check_folder, file_path
+from .arguments import check_folder, file_path
 from .choice import Choice
 from .loading import Loaded, load
 from .progress import about_frame
 
 ROLES = ("input", "velocity_from", "depth_from", "truth")
 NOTES = ("jaxblur:settings", "jaxblur:parameters")
+TIMES = "of the blur of a frame, all views, with what it compiled"
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
@@ -25,8 +26,8 @@ def add_option(parser: argparse.ArgumentParser) -> None:
         "--result",
         type=file_path,
         metavar="DIR",
-        help="with --truth: write pictures and scores there, for `jaxblur report DIR`; replaces "
-        "an earlier result",
+        help="write input, output, motion vectors and times there, with --truth also that and "
+        "scores, for `jaxblur report DIR`; replaces an earlier result",
     )
 
 
@@ -34,13 +35,10 @@ def check(arguments: argparse.Namespace) -> None:
     """Reject a result that cannot be written, before any work is done.
 
     Raises:
-        CommandError: there is no truth, or the folder cannot be made.
+        CommandError: the folder cannot be made.
     """
-    if arguments.result is None:
-        return
-    if arguments.truth is None:
-        raise CommandError("--result: needs --truth, which its pictures are compared with.")
-    check_folder(arguments.result)
+    if arguments.result is not None:
+        check_folder(arguments.result)
 
 
 def make_shot(
@@ -50,8 +48,9 @@ def make_shot(
     method: str,
     settings: Mapping[str, Any],
     sources: Mapping[str, pathlib.Path | None],
+    seconds: float | None,
 ) -> Any:
-    """Gather a frame, its blur and its truth.
+    """Gather a frame, its motion, its blur and its truth, if it has one.
 
     Args:
         name: of the shot.
@@ -60,6 +59,7 @@ def make_shot(
         method: name of the filter.
         settings: of the filter, parameters among them.
         sources: files by role, see `ROLES`.
+        seconds: that the blur of the frame took, or None if this run did not blur it.
 
     Returns:
         A `jaxblur.report.Shot`.
@@ -67,14 +67,19 @@ def make_shot(
     from jaxblur.report import Picture, Shot, sha256_of
 
     files = [path for role in ROLES if (path := sources.get(role)) is not None]
+    output = Picture(
+        method,
+        loaded.colors.light(blurred),
+        milliseconds=None if seconds is None else 1000 * seconds,
+        settings=settings,
+        group=method,
+    )
     return Shot(
         name=name,
         truth=loaded.truth,
-        pictures=[
-            Picture("input", loaded.colors.light(loaded.buffers.color)),
-            Picture(method, loaded.colors.light(blurred), settings=settings, group=method),
-        ],
+        pictures=[Picture("input", loaded.colors.light(loaded.buffers.color)), output],
         hashes={path.name: sha256_of(path) for path in files},
+        velocity=loaded.buffers.velocity,
     )
 
 
@@ -93,8 +98,9 @@ def write(arguments: argparse.Namespace, first: argparse.Namespace, shots: Itera
     """
     from jaxblur.report import COLORS, VIEW, write_result
 
-    title = f"{arguments.input.name} against {arguments.truth.name}"
-    settings = {"shutter": arguments.shutter, COLORS: _words(first)}
+    truth = arguments.truth
+    title = f"{arguments.input.name} {'blurred' if truth is None else f'against {truth.name}'}"
+    settings = {"shutter": arguments.shutter, COLORS: _words(first), "times": TIMES}
     if arguments.exposure is not None:
         settings |= arguments.exposure._replace(points=()).notes()
     if arguments.view:
@@ -111,21 +117,20 @@ def _words(arguments: argparse.Namespace) -> str:
     return exr.conversion_of(info, channel, arguments.color_space, arguments.view).words
 
 
-def shots_of_frame(arguments: argparse.Namespace, job: Any) -> Iterator[Any]:
+def shots_of_frame(arguments: argparse.Namespace, job: Any, seconds: float | None) -> Iterator[Any]:
     """Read a frame of a sequence back; a whole sequence does not fit into memory.
 
     Args:
-        arguments: of the command, or of `view_files.each`.
+        arguments: of the command, or of `view_files.each`, with the files of the frame.
         job: of the frame, whose outputs exist; the first is an ``.exr``.
+        seconds: see `make_shot`.
 
     Yields:
         A shot for each view.
     """
     from jaxblur import exr
 
-    sources = {role: job.inputs.get(role) for role in ROLES}
-    here = sources | {"seed": job.frame}
-    eyes = views.each(argparse.Namespace(**vars(arguments) | here))
+    eyes = views.each(arguments)
     output = job.outputs[0]
     notes = exr.inspect(output).parts[0].attributes
     for eye in eyes:
@@ -137,4 +142,4 @@ def shots_of_frame(arguments: argparse.Namespace, job: Any) -> Iterator[Any]:
         method = str(notes.get("jaxblur:filter", "output"))
         view = view_files.label_of(eye, len(eyes) > 1)
         name = " ".join(filter(None, (f"frame {job.frame}", view)))
-        yield make_shot(name, loaded, blurred, method, settings, sources)
+        yield make_shot(name, loaded, blurred, method, settings, vars(eye), seconds)

@@ -1,7 +1,7 @@
 """Scores of images against a truth, and their rows in tables."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .arguments import file_path
@@ -16,8 +16,8 @@ def add_truth_options(parser: argparse.ArgumentParser) -> None:
         "--truth",
         type=file_path,
         metavar="FILE",
-        help="print PSNR, SSIM and FLIP against it; several views, each against the view of its "
-        "name there",
+        help="print PSNR, SSIM and FLIP against it; each of several views against the view of its "
+        "name there, or against the file of its name, where %%V in FILE stands for it",
     )
     parser.add_argument("--truth-layer", metavar="NAME", help="layer of the truth to look in")
 
@@ -34,8 +34,8 @@ def scores_of(loaded: Loaded, image: Any) -> dict[str, Any]:
     """
     if loaded.truth is None:
         return {}
-    images = {"input": loaded.buffers.color, "output": loaded.picture(image)}
-    return scores({name: loaded.colors.light(each) for name, each in images.items()}, loaded.truth)
+    color, light = loaded.buffers.color, loaded.colors.light
+    return scores({"input": light(color), "output": light(loaded.picture(image))}, loaded.truth)
 
 
 def scores(images: Mapping[str, Any], truth: Any) -> dict[str, Any]:
@@ -65,6 +65,23 @@ def in_words(view: str | None, name: str, method: str) -> str:
         method: name of the filter, which made the output.
     """
     return " ".join(filter(None, (view, method if name == "output" else name)))
+
+
+def view_rows(
+    views: Sequence[str | None], scored: Sequence[Mapping[str, Any]], method: str
+) -> list[tuple[str, ...]]:
+    """Format the scores of a frame as rows for `SCORE_COLUMNS`.
+
+    Args:
+        views: their names, where there are several.
+        scored: `scores` of each.
+        method: name of what made the output.
+    """
+    return [
+        row
+        for view, scores in zip(views, scored, strict=True)
+        for row in score_rows({in_words(view, name, method): s for name, s in scores.items()})
+    ]
 
 
 def score_rows(scored: Mapping[str, Any]) -> list[tuple[str, ...]]:

@@ -15,9 +15,9 @@ from .choice import Choice, choose
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import report_ignored, require_neighbors, takes_neighbors
-from .loading import Loaded, load, mismatch, read
+from .loading import Loaded, load, mismatch, read, tell_rest
 from .progress import remarks_once
-from .scores import SCORE_COLUMNS, in_words, score_rows, scores_of
+from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
 
 LOG = logging.getLogger("jaxblur")
@@ -49,6 +49,8 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         arguments.seed = _number_in(arguments.input)
     frames = [_checked(each, asked) for each in view_files.each(arguments)]
     if arguments.dry_run:
+        for eye in (eye for frame in frames for eye in frame.eyes):
+            tell_rest(eye, asked.settings)
         _print_plan(asked, arguments, frames)
         return 0
     rows, shots = [], []
@@ -58,10 +60,11 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         exposed = [_load_views(frame.arguments, asked, frame.eyes) for frame in frames]
         LOG.debug("read in %.2f s", time.perf_counter() - started)
         for frame, own in zip(frames, exposed, strict=True):
-            chosen, made = _make(asked, frame, own)
-            rows += _score_rows(frame, chosen, made)
+            chosen, made, seconds = _make(asked, frame, own)
+            labels = [view_files.label_of(eye, len(made) > 1) for eye in frame.eyes]
+            rows += view_rows(labels, [scores_of(*each) for each in made], chosen.name)
             if arguments.result:
-                shots += _shots(frame, chosen, made)
+                shots += _shots(frame, chosen, made, seconds)
     if rows:
         print_table(SCORE_COLUMNS, rows)
     if shots:
@@ -107,12 +110,13 @@ def _checked(arguments: argparse.Namespace, asked: Choice) -> _Frame:
 
 def _make(
     asked: Choice, frame: _Frame, exposed: list[list[Loaded]]
-) -> tuple[Choice, list[tuple[Loaded, Any]]]:
-    """Blur and write a frame; returns what was run, and each view and its blur."""
+) -> tuple[Choice, list[tuple[Loaded, Any]], float]:
+    """Blur and write a frame; returns what was run, each view and its blur, and the seconds."""
     arguments, eyes, _, files = frame
     started = time.perf_counter()
     chosen, made = _blur_views(arguments, asked, eyes, exposed)
-    LOG.debug("started and blurred in %.2f s", time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    LOG.debug("started and blurred in %.2f s", seconds)
     whole, _ = views.merged(made)
     notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes))
     if arguments.subframes:
@@ -122,7 +126,7 @@ def _make(
     for output in files:
         print_line(f"{output}")
     report_ignored(arguments.input, whole.buffers.ignored)
-    return chosen, made
+    return chosen, made, seconds
 
 
 def _print_plan(asked: Choice, arguments: argparse.Namespace, frames: Sequence[_Frame]) -> None:
@@ -140,24 +144,9 @@ def _print_plan(asked: Choice, arguments: argparse.Namespace, frames: Sequence[_
     print_table(("action", "what"), rows)
 
 
-def _score_rows(
-    frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]
-) -> list[tuple[str, ...]]:
-    """The rows with the scores of each view."""
-    several = len(made) > 1
-    return [
-        row
-        for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True)
-        for row in score_rows(
-            {
-                in_words(view_files.label_of(eye, several), name, chosen.name): score
-                for name, score in scores_of(loaded, blurred).items()
-            }
-        )
-    ]
-
-
-def _shots(frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]) -> list[Any]:
+def _shots(
+    frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]], seconds: float
+) -> list[Any]:
     """The shot of each view for `results.write`."""
     shots = []
     for eye, (loaded, blurred) in zip(frame.eyes, made, strict=True):
@@ -166,7 +155,9 @@ def _shots(frame: _Frame, chosen: Choice, made: list[tuple[Loaded, Any]]) -> lis
         title = " ".join(filter(None, (eye.input.name, view)))
         settings = results.settings_of(views.with_samples(eye, chosen))
         picture, sources = loaded.picture(blurred), vars(eye)
-        shots.append(results.make_shot(title, loaded, picture, chosen.name, settings, sources))
+        shots.append(
+            results.make_shot(title, loaded, picture, chosen.name, settings, sources, seconds)
+        )
     return shots
 
 
@@ -307,8 +298,8 @@ def _number_in(path: pathlib.Path) -> int:
 
 
 def _sources(arguments: argparse.Namespace) -> list[pathlib.Path]:
-    files = [getattr(arguments, role) for role in stack.roles(arguments)]
-    files += [arguments.velocity_from, arguments.depth_from, arguments.truth]
+    roles = (*stack.roles(arguments), "velocity_from", "depth_from")
+    files = [getattr(arguments, r) for r in (*roles, *view_files.truths_of(arguments))]
     near = [path for s in ("before", "after") for path in stack.files_of(arguments, s).values()]
     more = (arguments.matte_from, *near, *_subframe_files(arguments))
     return [path for path in (*files, *more) if path is not None]

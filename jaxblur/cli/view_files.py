@@ -7,14 +7,16 @@ from typing import Any, NamedTuple
 
 from .arguments import CommandError
 from .disparity import CAMERAS
+from .stack import LayerName
 
 PLACE = "%V"
 """Stands for the name of a view, in a file name or in the name of a folder, as in Nuke."""
 VIEWS = ["left", "right"]
 """The views that there are where ``--views`` names none."""
+ALL = ["all"]
+"""``--views`` of all views that a file holds."""
 
 SOURCES = {
-    "truth": "is compared with its own truth",
     "velocity_from": "is blurred by its own vectors",
     "depth_from": "has its own depth",
     "matte_from": "has its own mattes",
@@ -50,35 +52,116 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
         arguments: of the command.
 
     Returns:
-        Those of the command where the input has no `PLACE`. Else one for each view, with its name
-        in place of `PLACE` in every path, and a `ViewFile` in ``view_file``. Where the noise of the
-        right view is to be shared by cameras, its ``left_input`` is the input of the left one.
+        Those of the command where the input has no `PLACE`, with those of `truths_of`. Else
+        one for each view, with its name in place of `PLACE` in every path, a `ViewFile` in
+        ``view_file``, and in ``in_truth`` the views that one truth must hold, none where each has
+        its own. Where the noise of the right view is to be shared by cameras, its ``left_input``
+        is the input of the left one.
 
     Raises:
         CommandError: a file of each view is needed and is not named so, or an option is for a view
             that there is not.
     """
-    given = {key: value for key, value in vars(arguments).items() if _has_place(value)}
+    given = {key: value for key, value in vars(arguments).items() if has_place(value)}
     if not are_named(arguments):
-        if given:
-            key, path = next(iter(given.items()))
-            raise CommandError(
-                f"{_option(key)}: {path} has {PLACE} for the name of a view, but "
-                f"{arguments.input} has none; write {PLACE} in both or in neither, or work on one "
-                f"view at a time: --views left and {_of_view(path, 'left')}."
-            )
-        return [arguments]
+        for key, value in given.items():
+            if key != "truth":
+                path = next(filter(has_place, _paths(value)))
+                option = "" if key == "layers" else f"{_option(key)}: "
+                raise CommandError(
+                    f"{option}{path} has {PLACE} for the name of a view, but "
+                    f"{arguments.input} has none; write {PLACE} in both or in neither, or work on "
+                    f"one view at a time: --views left and {_of_view(path, 'left')}."
+                )
+        return [argparse.Namespace(**vars(arguments) | truths_of(arguments))]
     names = list(dict.fromkeys(arguments.views or VIEWS))
     check_options_of(arguments, arguments.input, names)
     _check_sources(arguments, names)
+    in_truth = names if arguments.truth is not None and not has_place(arguments.truth) else ()
     found = []
     for number, name in enumerate(names):
         here: dict[str, Any] = {key: _of_view(path, name) for key, path in given.items()}
-        here |= {"views": None, "view_file": ViewFile(name, number)}
+        here |= {"views": None, "view_file": ViewFile(name, number), "in_truth": in_truth}
         if getattr(arguments, "disparity", None) == CAMERAS and name == "right":
             here["left_input"] = _of_view(arguments.input, "left")
         found.append(argparse.Namespace(**vars(arguments) | here))
     return found
+
+
+def files_of(paths: Sequence[pathlib.Path], names: Sequence[str] | None) -> list[pathlib.Path]:
+    """The files that paths stand for, those of each view for one with `PLACE`.
+
+    Args:
+        paths: of files, or names of sequences.
+        names: of the views, or None for `VIEWS`.
+
+    Raises:
+        CommandError: views are named, and no path has a place for them.
+    """
+    if names and not any(map(has_place, paths)):
+        raise CommandError(
+            f"--views: no file has {PLACE} for the name of a view; write it, such as "
+            f"shot.{PLACE}.exr, or leave out --views."
+        )
+    views = list(dict.fromkeys(names or VIEWS))
+    return [
+        file
+        for path in paths
+        for file in ([_of_view(path, name) for name in views] if has_place(path) else [path])
+    ]
+
+
+def truths_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The arguments that hold truths.
+
+    Args:
+        arguments: of the command.
+
+    Returns:
+        ``truth``; where the truth has `PLACE` and the input has not, since it holds several views,
+        ``truth:left`` and so on, by the views that are named.
+    """
+    truth = arguments.truth
+    if not has_place(truth):
+        return {"truth": truth}
+    return {f"truth:{name}": _of_view(truth, name) for name in _in_one_file(arguments)}
+
+
+def own_truth(arguments: argparse.Namespace, name: str | None) -> dict[str, pathlib.Path]:
+    """The truth of a view of a file that holds several, as an argument.
+
+    Args:
+        arguments: of the command, from `each`.
+        name: of the view, or None for a frame without.
+
+    Returns:
+        Nothing where the truth is one file for all views.
+
+    Raises:
+        CommandError: the truth has a file for each view, and the frame has no views, or others.
+    """
+    truth = arguments.truth
+    if not has_place(truth):
+        return {}
+    if name is None:
+        raise CommandError(
+            f"--truth: {truth} has {PLACE} for the name of a view, but {arguments.input} has none, "
+            f"and holds no views; write {PLACE} in both or in neither, or work on one view at a "
+            f"time: --views left and {_of_view(truth, 'left')}."
+        )
+    if (role := f"truth:{name}") not in truths_of(arguments):
+        raise CommandError(
+            f"--truth: in {truth}, {PLACE} stands for {', '.join(_in_one_file(arguments))}, but "
+            f"{arguments.input} has a view {name}; name the views with --views."
+        )
+    return {"truth": getattr(arguments, role)}
+
+
+def _in_one_file(arguments: argparse.Namespace) -> list[str]:
+    """The views that `PLACE` stands for where the input is one file for all of them."""
+    if arguments.views not in (None, ALL):
+        return list(dict.fromkeys(arguments.views))
+    return [arguments.layer] if arguments.layer else VIEWS
 
 
 def name_of(arguments: argparse.Namespace) -> str | None:
@@ -126,32 +209,50 @@ def check_options_of(
 
 def _check_sources(arguments: argparse.Namespace, names: Sequence[str]) -> None:
     """Reject an output, or a file beside the input, that would be that of several views."""
-    if not _has_place(arguments.output):
+    if not has_place(arguments.output):
         raise CommandError(
             f"{arguments.output}: each view of {arguments.input} becomes a file; write {PLACE} in "
             f"the name of the output too, such as out.{PLACE}.exr."
         )
-    if _has_place(getattr(arguments, "result", None)):
+    if has_place(getattr(arguments, "result", None)):
         raise CommandError(
             f"--result: {arguments.result} has {PLACE}, but one result holds all views; leave "
             f"{PLACE} out."
         )
+    if len(names) < 2:
+        return
     for key, why in SOURCES.items():
-        path = getattr(arguments, key, None)
-        if len(names) > 1 and isinstance(path, pathlib.Path) and not _has_place(path):
-            raise CommandError(
-                f"{_option(key)}: {path} is one file for the views {', '.join(names)}, and each "
-                f"view {why}; write {PLACE} in its name, or choose one view with --views "
-                f"{names[0]}."
-            )
+        value = getattr(arguments, key, None)
+        # The frames before and after have a file for each layer.
+        frame = _paths(arguments.layers) if isinstance(value, list) else [arguments.input]
+        for path, of_frame in zip(_paths(value), frame, strict=False):
+            if has_place(of_frame) and not has_place(path):
+                raise CommandError(
+                    f"{_option(key)}: {path} is one file for the views {', '.join(names)}, and "
+                    f"each view {why}; write {PLACE} in its name, or choose one view with --views "
+                    f"{names[0]}."
+                )
 
 
-def _has_place(value: Any) -> bool:
-    return isinstance(value, pathlib.Path) and PLACE in str(value)
+def has_place(value: Any) -> bool:
+    """Whether a value of an option is a path with `PLACE`, or holds one."""
+    return any(PLACE in str(path) for path in _paths(value))
 
 
-def _of_view(path: pathlib.Path, name: str) -> pathlib.Path:
-    return pathlib.Path(str(path).replace(PLACE, name))
+def _paths(value: Any) -> list[pathlib.Path]:
+    """The paths in a value of an option: itself, or those of several layers."""
+    if isinstance(value, pathlib.Path):
+        return [value]
+    if isinstance(value, list):
+        return [each.path for each in value if isinstance(each, LayerName)]
+    return []
+
+
+def _of_view(value: Any, name: str) -> Any:
+    """A value of an option with the name of a view in place of `PLACE`."""
+    if isinstance(value, pathlib.Path):
+        return pathlib.Path(str(value).replace(PLACE, name))
+    return [each._replace(path=_of_view(each.path, name)) for each in value]
 
 
 def _option(key: str) -> str:

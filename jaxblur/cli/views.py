@@ -15,7 +15,6 @@ from .loading import Loaded
 
 LOG = logging.getLogger("jaxblur")
 
-ALL = ["all"]
 SEED_OF_A_VIEW = 1_000_003
 """Between the seeds of two views: beyond the numbers of frames, which are seeds too."""
 
@@ -73,7 +72,7 @@ def check(arguments: argparse.Namespace) -> None:
     if arguments.views is None:
         return
     if view_files.are_named(arguments):
-        if arguments.views == ALL:
+        if arguments.views == view_files.ALL:
             raise CommandError(
                 f"--views all: of {arguments.input} no file lists the views; name them: --views "
                 "left,right."
@@ -83,7 +82,7 @@ def check(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name, None) is not None:
             option = f"--{name.replace('_', '-')}"
             raise CommandError(f"{option}: {why}; leave out that, or --views.")
-    if len(arguments.views) == 1 and arguments.views != ALL:
+    if len(arguments.views) == 1 and arguments.views != view_files.ALL:
         arguments.layer = arguments.views[0]
 
 
@@ -130,17 +129,20 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     names = _chosen(arguments, info)
     file: view_files.ViewFile | None = getattr(arguments, "view_file", None)
     if file is not None:
+        _check_truth(arguments, arguments.in_truth)
         noise = _noise_of(arguments, file.name, file.number)
         return [argparse.Namespace(**vars(arguments) | noise)]
     view_files.check_options_of(arguments, info.path, names)
     _check_truth(arguments, names)
     if not names:
-        return [arguments]
+        truth = view_files.own_truth(arguments, arguments.layer)
+        return [argparse.Namespace(**vars(arguments) | truth)]
     views = []
     for name in names:
         _check_own(arguments, info, name, names)
         noise = _noise_of(arguments, name, exr.views_of(info).index(name))
-        views.append(argparse.Namespace(**vars(arguments) | noise | {"layer": name}))
+        own = noise | view_files.own_truth(arguments, name) | {"layer": name}
+        views.append(argparse.Namespace(**vars(arguments) | own))
     return views
 
 
@@ -177,7 +179,7 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
             info.path, "no views with color; leave out --views, or name a layer by --layer."
         )
     else:
-        names = colored if asked == ALL else list(dict.fromkeys(asked))
+        names = colored if asked == view_files.ALL else list(dict.fromkeys(asked))
     for name in names:
         if name not in colored:
             raise exr.JaxblurIOError(
@@ -185,14 +187,14 @@ def _chosen(arguments: argparse.Namespace, info: Any) -> list[str]:
                 f"no view {name!r} with color; --views takes {', '.join(colored)} or all.",
             )
     # A single named view is read like a layer: channels that it lacks come from the default view.
-    return [] if asked is not None and asked != ALL and len(asked) == 1 else names
+    return [] if asked is not None and asked != view_files.ALL and len(asked) == 1 else names
 
 
 def _check_truth(arguments: argparse.Namespace, names: Sequence[str]) -> None:
-    """Reject a truth of which not each view has one of its own."""
+    """Reject one truth for several views that does not hold each of them."""
     from jaxblur import exr
 
-    if len(names) < 2 or getattr(arguments, "truth", None) is None:
+    if len(names) < 2 or arguments.truth is None or view_files.has_place(arguments.truth):
         return
     one = f"choose one view with --views {names[0]}"
     if arguments.truth_layer is not None:
@@ -206,7 +208,8 @@ def _check_truth(arguments: argparse.Namespace, names: Sequence[str]) -> None:
         raise exr.JaxblurIOError(
             found.path,
             f"truth: no view {lacking[0]!r}, and each view is compared with its own truth; give a "
-            f"truth with views {', '.join(names)}, or {one}.",
+            f"truth with views {', '.join(names)}, or one for each, with {view_files.PLACE} in its "
+            f"name, or {one}.",
         )
 
 

@@ -1,3 +1,4 @@
+from ._arguments import takes as takes
 from ._masking import honoring_mask as honoring_mask
 from .guertin2014 import (
     GuertinParameters as GuertinParameters,

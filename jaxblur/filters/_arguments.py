@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -21,7 +22,7 @@ from ..noise import Noise
 from ..nonfinite import refuse
 from ..settings import Settings, checked_settings
 from .parameters import check_parameters_type
-from .registry import filter_info, names
+from .registry import FilterInfo, filter_info, names
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,10 +30,16 @@ R = TypeVar("R")
 _BY_POSITION = ("frame", "parameters")
 
 
+_CHECKED = "__jaxblur_takes__"
+"""Attribute of a filter that `takes` has decorated."""
+
+
 def takes(
-    parameters: type | None, settings: type[Settings], more: Sequence[str] = ()
+    parameters: type | None, settings: type[Settings] = Settings, more: Sequence[str] = ()
 ) -> Callable[..., Any]:
     """Make a filter check the types of its arguments, and its motion for NaN, before all else.
+
+    It stands above `jax.jit`, and works on a filter of one's own as on those of the package.
 
     Args:
         parameters: the class of its parameters, or None if it has none.
@@ -46,7 +53,7 @@ def takes(
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        name = function.__name__
+        name = getattr(function, "__name__", "the filter")
 
         @functools.wraps(function)
         def checked(*given: P.args, **options: P.kwargs) -> R:
@@ -57,9 +64,25 @@ def takes(
             refuse_nan_motion(values["frame"])
             return function(*given, **options)
 
+        setattr(checked, _CHECKED, True)
         return checked
 
     return decorate
+
+
+def checking(function: Callable[..., Any], info: FilterInfo) -> Callable[..., Any]:
+    """A filter that checks its arguments by `takes`: itself, if it does so already.
+
+    Args:
+        function: the filter.
+        info: its record. Arguments that its signature has besides those of every filter are its
+            own to check.
+    """
+    if hasattr(function, _CHECKED):
+        return function
+    known = (*_BY_POSITION, "settings", "noise")
+    more = [name for name in inspect.signature(function).parameters if name not in known]
+    return takes(info.parameters, info.kind, more)(function)
 
 
 def _check_form(

@@ -117,11 +117,13 @@ class FilterInfo:
 
     @functools.cached_property
     def call(self) -> Filter:
-        """The filter, imported now if it was not yet.
+        """The filter, imported now if it was not yet; it rejects arguments of other types.
 
         Raises:
             ValueError: the parameters are not registered with jax.
         """
+        from ._arguments import checking
+
         function = _resolve(self.function)
         if self.parameters is not None:
             import jax
@@ -131,7 +133,7 @@ class FilterInfo:
                     f"`parameters` of {self.name} must be known to jax; put "
                     f"@jax.tree_util.register_dataclass above {self.parameters.__name__}."
                 )
-        return cast("Filter", function)
+        return cast("Filter", checking(function, self))
 
     @functools.cached_property
     def call_outcomes(self) -> Callable[..., tuple[jax.Array, jax.Array]] | None:
@@ -308,7 +310,8 @@ def _find(
             module, _, attribute = info.function.partition(":")
             # A function that somebody holds is of a module that is loaded.
             known = getattr(sys.modules.get(module), attribute, None)
-        if filter is known:
+        # `call` is there once it was asked for.
+        if filter is known or filter is vars(info).get("call", known):
             return info
     return None
 

@@ -1,7 +1,7 @@
 """The pictures of a study: the same scenes, made by several methods.
 
-Either a folder of results, as ``jaxblur blur --truth FILE --result DIR`` and experiments write it,
-or one folder for each method, with the same names in each::
+Either a folder of results, as ``jaxblur blur --result DIR`` and experiments write it, or one folder
+for each method, with the same names in each::
 
     DIR/
       layered/crossing.exr           a still

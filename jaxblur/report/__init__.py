@@ -7,6 +7,7 @@ Commands and experiments store pictures with their scores through `write_result`
 """
 
 from .page import Page as Page, build_page as build_page
+from .reading import read_result as read_result
 from .results import (
     COLORS as COLORS,
     MANIFEST as MANIFEST,
@@ -15,7 +16,6 @@ from .results import (
     Result as Result,
     Shot as Shot,
     in_view as in_view,
-    read_result as read_result,
     sha256_of as sha256_of,
     write_result as write_result,
 )

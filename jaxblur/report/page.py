@@ -45,8 +45,9 @@ class Window(NamedTuple):
 def build_page(result: Result, max_megabytes: float = 20.0) -> Page:
     """Make the page.
 
-    If the file would exceed the limit, each shot is cropped around its largest error, in the same
-    way for all of its pictures; the page and the warnings report it.
+    If the file would exceed the limit, each shot is cropped to where its error is largest, or
+    without a truth its motion, in the same way for all of its pictures; the page and the warnings
+    report it.
 
     Args:
         result: result from `read_result`.
@@ -77,16 +78,18 @@ def build_page(result: Result, max_megabytes: float = 20.0) -> Page:
 
 
 def _window(shot: Shot, share: float) -> Window:
-    """Place a window with this share of a shot's pixels where the error is largest."""
-    height, width = shot.truth.shape[:2]
+    """Place a window with this share of a shot's pixels where error, or motion, is largest."""
+    height, width = shot.size
     if share >= 1:
         return Window(0, 0, height, width)
     rows, columns = (
         min(size, max(SMALLEST_CROP, round(size * share**0.5))) for size in (height, width)
     )
-    maps = [picture.flip for picture in shot.pictures if picture.flip is not None]
-    error = np.mean(maps, axis=0) if maps else np.zeros((height, width))
-    total = np.pad(error.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    maps = [np.asarray(picture.flip) for picture in shot.pictures if picture.flip is not None]
+    if not maps and shot.velocity is not None:
+        maps = [np.hypot(*np.moveaxis(np.asarray(shot.velocity), -1, 0))]
+    weight = np.mean(maps, axis=0) if maps else np.zeros((height, width))
+    total = np.pad(weight.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     sums = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns]
     top, left = np.unravel_index(np.argmax(sums + total[:-rows, :-columns]), sums.shape)
     return Window(int(top), int(left), rows, columns)
@@ -96,11 +99,11 @@ def _warnings(
     shots: Sequence[Shot], windows: Sequence[Window], max_megabytes: float
 ) -> tuple[str, ...]:
     return tuple(
-        f"{shot.name}: cropped to {window.width}x{window.height} of {shot.truth.shape[1]}x"
-        f"{shot.truth.shape[0]} pixels at column {window.left}, row {window.top}, to stay within "
+        f"{shot.name}: cropped to {window.width}x{window.height} of {shot.size[1]}x"
+        f"{shot.size[0]} pixels at column {window.left}, row {window.top}, to stay within "
         f"{max_megabytes:g} MB."
         for shot, window in zip(shots, windows, strict=True)
-        if shot.truth.shape[:2] != (window.height, window.width)
+        if shot.size != (window.height, window.width)
     )
 
 
@@ -117,20 +120,27 @@ def _render(result: Result, windows: Sequence[Window]) -> str:
     script, style = _template("script.js"), _template("style.css")
     rows = [(shot, picture) for shot in result.shots for picture in shot.pictures]
     names = dict.fromkeys(name for _, picture in rows for name in picture.scores)
-    timed = any(picture.milliseconds is not None for _, picture in rows)
+    timed = [picture.milliseconds is not None for _, picture in rows]
+    points = [
+        sum(bool(p.scores) and p.milliseconds is not None for p in shot.pictures)
+        for shot in result.shots
+    ]
     return environment.get_template("page.html").render(
         result=result,
         rows=rows,
         score_names=list(names),
-        timed=timed,
-        plotted=timed and bool(names),
+        timed=any(timed),
+        # One point shows no trade of speed against error.
+        plotted=max(points) > 1,
+        judged=any(shot.truth is not None for shot in result.shots),
+        moving=any(shot.velocity is not None for shot in result.shots),
         script=script,
         script_hash=_integrity(script),
         style=style,
         style_hash=_integrity(style),
         data=_as_json(_embedded(result, windows)),
         windows=zip(result.shots, windows, strict=True),
-        cropped=any(s.truth.shape[:2] != w[2:] for s, w in zip(result.shots, windows, strict=True)),
+        cropped=any(s.size != w[2:] for s, w in zip(result.shots, windows, strict=True)),
     )
 
 
@@ -165,13 +175,23 @@ def _embedded(result: Result, windows: Sequence[Window]) -> list[dict[str, Any]]
             "left": window.left,
             "height": window.height,
             "width": window.width,
-            "pictures": [
-                *(_picture(picture, window) for picture in shot.pictures),
-                {"method": "truth", "truth": True, "scores": {}, **_encoded(shot.truth, window)},
-            ],
+            "pictures": [*(_picture(p, window) for p in shot.pictures), *_buffers(shot, window)],
         }
         for shot, window in zip(result.shots, windows, strict=True)
     ]
+
+
+def _buffers(shot: Shot, window: Window) -> list[dict[str, Any]]:
+    """The motion vectors and the truth, as far as a shot has them, to be shown like pictures."""
+    entries = []
+    if shot.velocity is not None:
+        vectors = _encoded_vectors(shot.velocity, window)
+        entries.append({"method": "motion vectors", "truth": False, "scores": {}, **vectors})
+    if shot.truth is not None:
+        entries.append(
+            {"method": "truth", "truth": True, "scores": {}, **_encoded(shot.truth, window)}
+        )
+    return entries
 
 
 def _picture(picture: Picture, window: Window) -> dict[str, Any]:
@@ -183,11 +203,12 @@ def _picture(picture: Picture, window: Window) -> dict[str, Any]:
         "scores": {name: _finite(value) for name, value in picture.scores.items()},
         "truth": False,
     }
-    if picture.image is None:
-        return entry
-    error = np.clip(window.of(np.asarray(picture.flip)), 0.0, 1.0)
-    flip = data_uri(np.floor(error * 255 + 0.5).astype(np.uint8))
-    return entry | _encoded(picture.image, window) | {"flip": flip}
+    if picture.image is not None:
+        entry |= _encoded(picture.image, window)
+    if picture.flip is not None:
+        error = np.clip(window.of(np.asarray(picture.flip)), 0.0, 1.0)
+        entry["flip"] = data_uri(np.floor(error * 255 + 0.5).astype(np.uint8))
+    return entry
 
 
 def _encoded(image: Any, window: Window) -> dict[str, str]:
@@ -195,6 +216,18 @@ def _encoded(image: Any, window: Window) -> dict[str, str]:
     color = pixels if pixels.shape[-1] == 3 else pixels[..., :1].repeat(3, axis=-1)
     mantissa, exponent = shared_exponent(window.of(color))
     return {"mantissa": data_uri(mantissa), "exponent": data_uri(exponent)}
+
+
+def _encoded_vectors(velocity: Any, window: Window) -> dict[str, Any]:
+    """Vectors as whole multiples of a step, plus 2^15, in two images of bytes: high and low."""
+    vectors = window.of(np.asarray(velocity, np.float64))
+    step = float(np.abs(vectors).max()) / (2**15 - 1) or 1.0
+    levels = np.round(vectors / step).astype(np.int64) + 2**15
+    high, low = (
+        np.dstack([part, np.zeros(part.shape[:2])]).astype(np.uint8)
+        for part in np.divmod(levels, 256)
+    )
+    return {"high": data_uri(high), "low": data_uri(low), "step": step}
 
 
 def _finite(value: float) -> float | None:

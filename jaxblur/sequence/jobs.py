@@ -110,7 +110,8 @@ def plan_jobs(
 
     Args:
         frames: numbers of the frames.
-        sources: names of the inputs by role: sequences, or single files.
+        sources: names of the inputs by role: sequences, or single files. The roles ``truth`` and
+            ``truth:VIEW`` are for what changes scores and no pixels.
         outputs: names of the files to write, one or several per frame.
         choices: everything but the inputs that determines an output; see `digest`.
         overwrite: replace existing files at the outputs, whatever they are.
@@ -170,7 +171,7 @@ def _neighbors_of(
     frame: int, sources: Mapping[str, FrameNames | pathlib.Path], cuts: Collection[int]
 ) -> dict[int, dict[str, pathlib.Path]]:
     """Return the inputs of the frames before and after a frame, if all of them exist."""
-    names = {role: name for role, name in sources.items() if role != "truth"}
+    names = {role: name for role, name in sources.items() if not _is_truth(role)}
     found = {} if frame in cuts else {n: at_frame(names, n) for n in (frame - 1, frame + 1)}
     return {
         number: inputs
@@ -192,7 +193,12 @@ def _files_of(
 
 def _state_of(inputs: Mapping[str, pathlib.Path]) -> str:
     """Describe all inputs except the truth, which affects scores but not pixels."""
-    return input_state({role: path for role, path in inputs.items() if role != "truth"})
+    return input_state({role: path for role, path in inputs.items() if not _is_truth(role)})
+
+
+def _is_truth(role: str) -> bool:
+    """Whether a role is that of a truth; see `plan_jobs`."""
+    return role.partition(":")[0] == "truth"
 
 
 def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:

@@ -1,6 +1,7 @@
 """Names of sequences, such as ``beauty.####.exr``, and lists of frames, such as 1001-1240x2."""
 
 import dataclasses
+import difflib
 import itertools
 import os
 import pathlib
@@ -67,6 +68,27 @@ class FrameNames:
         # Of paddings that fit as many files, the longest shows best what is there.
         most, digits = max(zip(counts, (o.digits for o in others), strict=True), default=(0, 0))
         return self._padded(digits) if most else None
+
+    def near_patterns(self) -> list[str]:
+        """Find sequences in the folder whose names are like those of this one.
+
+        Returns:
+            Patterns of at most three, the nearest first; none where there are files of this one.
+
+        Raises:
+            OSError: the folder cannot be listed.
+        """
+        folder, name = os.path.split(self._padded(max(self.digits, 2)).pattern)
+        number = re.compile(r"\d+(?=\D*$)")
+        patterns = {
+            number.sub(lambda found: "#" * max(len(found[0]), 2), file)
+            for file in os.listdir(folder or ".")
+            if number.search(file)
+        }
+        near = (
+            difflib.get_close_matches(name, sorted(patterns), n=3) if name not in patterns else []
+        )
+        return [os.path.join(folder, pattern) for pattern in near]
 
     def _padded(self, digits: int) -> "FrameNames":
         """Return the same names with another number of digits."""

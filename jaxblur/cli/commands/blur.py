@@ -66,7 +66,7 @@ def add_parser(commands: Any) -> None:
     add_truth_options(parser)
     results.add_option(parser)
     _add_neighbor_options(parser)
-    add_color_options(parser)
+    add_color_options(parser, "pictures, scores and --result")
     add_compute_options(parser)
     add_threads_option(parser)
     group = add_filter_options(parser)

@@ -12,9 +12,10 @@ from typing import Any
 
 from jaxblur.filters.registry import filter_info
 
-from .. import isolation
+from .. import isolation, view_files
 from ..arguments import (
     add_command,
+    channel_names,
     describe_presets,
     file_path,
     in_option_names,
@@ -40,8 +41,14 @@ def add_parser(commands: Any) -> None:
         type=file_path,
         nargs="+",
         metavar="file",
-        help="image file, or name.####.exr; a file with the same channels and sizes as the one "
-        "before takes one line",
+        help="image file, or name.####.exr, or name.%%V.exr with a file for each view; a file with "
+        "the same channels and sizes as the one before takes one line",
+    )
+    parser.add_argument(
+        "--views",
+        type=channel_names,
+        metavar="NAME[,NAME]",
+        help="the views that %%V stands for (default left,right)",
     )
     parser.add_argument("--json", action="store_true", help="print a JSON object for each file")
     parser.add_argument(
@@ -60,7 +67,10 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """List files, one after the other; see `add_parser`."""
-    files = _files(arguments.files)
+    files = arguments.files
+    if not isolation.in_child:
+        # A child gets the file of one view and frame.
+        files = _files(view_files.files_of(files, arguments.views))
     if len(files) == 1:
         return _list(_about(arguments, files[0]), _Before())
     status, before = 0, _Before()

@@ -4,6 +4,7 @@ import argparse
 import itertools
 import logging
 import pathlib
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jaxblur
@@ -17,9 +18,22 @@ from ..arguments import (
     file_path,
     frame_numbers,
 )
+from ..colors import add_color_options, check_colors, shown_colors
 from ..compute import start_jax
-from ..console import print_line, track
+from ..console import print_line, print_table, track
+from ..loading import shown_truth
 from ..outputs import add_output_option, check_output, files_of
+from ..progress import remarks_once
+from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
+from ..sequence import (
+    check_truth,
+    frames_on_disk,
+    names_of,
+    print_scores,
+    refuse_shell_pattern,
+    scores_record,
+    with_all_frames,
+)
 from ..sources import add_channel_options
 
 LOG = logging.getLogger("jaxblur")
@@ -52,6 +66,8 @@ def add_parser(commands: Any) -> None:
         metavar="KIND",
         help="z, 1/z, --depth=-z or --depth=-1/z (default z)",
     )
+    add_truth_options(parser)
+    add_color_options(parser)
     add_compute_options(parser)
 
 
@@ -59,23 +75,38 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the posts on a picture or a sequence; see `add_parser`."""
     from jaxblur import exr
 
-    from ..sequence import with_all_frames
-
     posts.check(arguments)
+    check_colors(arguments)
     views.check(arguments)
     _check_depth(arguments)
     jobs = [job for each in with_all_frames(view_files.each(arguments)) for job in _jobs(each)]
-    for _, source, depth, files in jobs:
-        for file, output in itertools.product((source, depth), files):
+    for job in jobs:
+        for file, output in itertools.product(job.sources(), job.files):
             exr.refuse_overwrite(output, file)
-    check_outputs([output for *_, files in jobs for output in files], arguments.overwrite)
+    check_outputs([output for job in jobs for output in job.files], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
-    if len(jobs) == 1:
-        _run_one(jobs[0])
-        return 0
-    for index in track(list(range(len(jobs))), "post"):
-        _run_one(jobs[index])
+    numbers = list(range(len(jobs)))
+    with remarks_once():
+        scored = [_run_one(jobs[k]) for k in (track(numbers, "post") if len(jobs) > 1 else numbers)]
+    _print_scores(",".join(arguments.posts), jobs, scored)
     return 0
+
+
+def _print_scores(
+    method: str, jobs: Sequence["_Job"], scored: Sequence[Sequence[tuple[str | None, Any]]]
+) -> None:
+    """Print the scores of all pictures that have a truth."""
+    rows, records = [], []
+    for job, of_views in zip(jobs, scored, strict=True):
+        names, each = zip(*of_views, strict=True)
+        if job.frame is None:
+            rows += view_rows(names, each, method)
+        else:
+            record = {"frame": job.frame, "filter": method, "view": names[0]}
+            records.append(record | scores_record(names, each))
+    if rows:
+        print_table(SCORE_COLUMNS, rows)
+    print_scores(records)
 
 
 def _check_depth(arguments: argparse.Namespace) -> None:
@@ -95,67 +126,108 @@ def _check_depth(arguments: argparse.Namespace) -> None:
 
 
 class _Job(NamedTuple):
-    """A picture, the file with its depth, and what is written: see `files_of`.
+    """A picture and what is written: see `files_of`.
 
-    Its arguments are those of the command, or of a view that has files.
+    Its arguments are those of the command, or of a view that has files, with the files of the
+    picture in ``input``, ``depth_from`` and ``truth``. Its frame is None for a single picture.
     """
 
     arguments: argparse.Namespace
-    source: pathlib.Path
-    depth: pathlib.Path
+    frame: int | None
     files: list[pathlib.Path]
+
+    def sources(self) -> list[pathlib.Path]:
+        """The files that are read."""
+        given = [getattr(self.arguments, role) for role in _roles(self.arguments)]
+        return [path for path in given if path is not None]
+
+
+def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """The arguments with files of a picture."""
+    return ("input", "depth_from", *view_files.truths_of(arguments))
 
 
 def _jobs(arguments: argparse.Namespace) -> list[_Job]:
     """The work on every frame, or on every frame of a view that has files."""
-    from jaxblur.sequence import has_frame_number, parse_names
-
-    from ..sequence import frames_on_disk, refuse_shell_pattern
+    from jaxblur.sequence import at_frame, has_frame_number, parse_names
 
     check_output(arguments)
-    depth = arguments.depth_from or arguments.input
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
-        return [_job(arguments, arguments.input, depth, arguments.output)]
-    sources, outputs = parse_names(arguments.input), parse_names(arguments.output)
-    depths = parse_names(depth) if has_frame_number(depth) else None
-    numbers = arguments.frames or frames_on_disk(sources)
-    return [
-        _job(
-            arguments,
-            sources.path(n),
-            depth if depths is None else depths.path(n),
-            outputs.path(n),
-        )
-        for n in numbers
-    ]
+        return [_job(arguments, None, arguments.output)]
+    sources, outputs = names_of(arguments, _roles(arguments)), parse_names(arguments.output)
+    numbers = arguments.frames or frames_on_disk(sources["input"])
+    check_truth(arguments, numbers)
+    found = []
+    for number in numbers:
+        here = argparse.Namespace(**vars(arguments) | at_frame(sources, number))
+        found.append(_job(here, number, outputs.path(number)))
+    return found
 
 
-def _job(
-    arguments: argparse.Namespace, source: pathlib.Path, depth: pathlib.Path, output: pathlib.Path
-) -> _Job:
-    names = views.names_of(argparse.Namespace(**vars(arguments) | {"input": source}))
-    return _Job(arguments, source, depth, files_of(arguments, output, names))
+def _job(arguments: argparse.Namespace, frame: int | None, output: pathlib.Path) -> _Job:
+    from jaxblur import exr
+
+    job = _Job(arguments, frame, files_of(arguments, output, views.names_of(arguments)))
+    for source in job.sources():
+        exr.inspect(source)
+    return job
 
 
-def _run_one(job: _Job) -> None:
+class _View(NamedTuple):
+    """A picture, or a view of it, as it was read.
+
+    Attributes:
+        arguments: of the command for this view; see `views.each`.
+        color: (H, W, C) values of the file.
+        channels: full names of the color channels.
+        colors: a `jaxblur.exr.Conversion` of the color to light that a screen shows.
+        truth: (H, W, C) such light, or None.
+    """
+
+    arguments: argparse.Namespace
+    color: Any
+    channels: tuple[str, ...]
+    colors: Any
+    truth: Any
+
+    def scores(self, image: Any) -> dict[str, Any]:
+        """Score the picture, and what has become of it, against the truth; empty without one."""
+        if self.truth is None:
+            return {}
+        light = self.colors.light
+        return scores({"input": light(self.color), "output": light(image)}, self.truth)
+
+
+def _read(arguments: argparse.Namespace) -> _View:
+    """Read the color of a view and its truth."""
+    from jaxblur import exr
+
+    source = arguments.input
+    channels = exr.choose_color(
+        exr.inspect(source), arguments.layer, arguments.color_channels
+    ).channels
+    color = exr.read_image(source, arguments.layer, arguments.color_channels)
+    colors = shown_colors(arguments, source, channels[0])
+    return _View(arguments, color, channels, colors, shown_truth(arguments, color.shape))
+
+
+def _run_one(job: _Job) -> list[tuple[str | None, dict[str, Any]]]:
+    """Do a picture; returns the name of each of its views, if it has any, and its scores."""
     import numpy as np
 
     from jaxblur import exr
 
-    arguments, source, depth, files = job
+    arguments, _, files = job
+    source, depth = arguments.input, arguments.depth_from or arguments.input
     states = exr.FileStates.of([source, depth])
-    eyes = views.each(argparse.Namespace(**vars(arguments) | {"input": source}))
-    channels, images = [], []
-    for eye in eyes:
-        group = exr.choose_color(exr.inspect(source), eye.layer, eye.color_channels)
-        channels.append(group.channels)
-        images.append(_through_posts(eye, depth))
-    if len({image.shape[:2] for image in images}) > 1:
-        names = " and ".join(eye.layer for eye in eyes)
+    pictures = [_read(eye) for eye in views.each(arguments)]
+    if len({picture.color.shape[:2] for picture in pictures}) > 1:
+        names = " and ".join(picture.arguments.layer for picture in pictures)
         raise CommandError(
             f"{source}: views {names} have different sizes; do one after the other, with --layer."
         )
+    made = [_through_posts(picture, depth) for picture in pictures]
     for part in exr.inspect(source).parts:
         if again := posts.earlier(part.attributes, arguments.posts):
             LOG.warning("%s: has been through %s before; this does it again.", source, again)
@@ -167,29 +239,35 @@ def _run_one(job: _Job) -> None:
         **posts.notes(arguments),
     }
     like = source if source.suffix.lower() == ".exr" else None
+    images, channels = made, [picture.channels for picture in pictures]
     if len(files) < len(images):
         # All views go into one file.
         images, channels = [np.concatenate(images, axis=-1)], [sum(channels, ())]
-    for eye, output, image, names in zip(eyes[: len(files)], files, images, channels, strict=True):
+    for picture, output, image, names in zip(pictures, files, images, channels, strict=False):
         exr.write_image(
             output,
             image,
             like=like,
             attributes=notes,
-            layer=eye.layer,
+            layer=picture.arguments.layer,
             color_channels=names if like else None,
             unchanged=states if output == files[0] else None,
+            color_space=arguments.color_space,
+            view=arguments.view,
             bits=arguments.bits,
         )
         print_line(f"{output}")
+    return [
+        (view_files.label_of(picture.arguments, len(made) > 1), picture.scores(image))
+        for picture, image in zip(pictures, made, strict=True)
+    ]
 
 
-def _through_posts(arguments: argparse.Namespace, depth: pathlib.Path) -> Any:
+def _through_posts(picture: _View, depth: pathlib.Path) -> Any:
     """A picture, or a view of it, after the posts."""
     from jaxblur import exr
 
-    source = arguments.input
-    color = exr.read_image(source, arguments.layer, arguments.color_channels)
+    arguments, color = picture.arguments, picture.color
     distance = None
     if posts.needs_depth(arguments):
         distance = exr.read_depth(
@@ -201,7 +279,7 @@ def _through_posts(arguments: argparse.Namespace, depth: pathlib.Path) -> Any:
         if distance.shape != color.shape[:2]:
             (rows, columns), (height, width) = distance.shape, color.shape[:2]
             raise CommandError(
-                f"{depth}: the depth has {columns}x{rows} pixels, but {source} has {width}x{height}"
-                "; render both with the same data window."
+                f"{depth}: the depth has {columns}x{rows} pixels, but {arguments.input} has "
+                f"{width}x{height}; render both with the same data window."
             )
     return posts.apply(arguments, color, distance, color.shape[2])

@@ -30,7 +30,7 @@ def add_parser(commands: Any) -> None:
         "input",
         type=file_path,
         metavar="RESULT_DIR",
-        help="what `jaxblur blur --truth FILE --result DIR` or an experiment wrote",
+        help="what `jaxblur blur --result DIR` or an experiment wrote",
     )
     parser.add_argument(
         "-o", "--output", type=file_path, required=True, metavar="OUT.html", help="page to write"
@@ -42,7 +42,8 @@ def add_parser(commands: Any) -> None:
         type=positive_number,
         default=20.0,
         metavar="MB",
-        help="crop pictures around their largest error to stay below (default %(default)g)",
+        help="to stay below, crop pictures to where their error, or without a truth their motion, "
+        "is largest (default %(default)g)",
     )
 
 

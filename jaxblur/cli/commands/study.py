@@ -22,10 +22,10 @@ from ..console import print_line
 LOG = logging.getLogger("jaxblur")
 
 LAYOUT = """\
-DIR holds a result, as `jaxblur blur --truth FILE --result DIR` writes it, with the pictures of
-three methods or more; or one folder for each method, with the same pictures in each: NAME.exr (or
-.png) is a still, NAME.0001.exr, NAME.0002.exr ... an animation. The page needs no network. It shows
-every pair in random order and saves a CSV file, which `jaxblur votes` analyzes."""
+DIR holds a result, as experiments write it, with the pictures of three methods or more; or one
+folder for each method, with the same pictures in each: NAME.exr (or .png) is a still,
+NAME.0001.exr, NAME.0002.exr ... an animation. The page needs no network. It shows every pair in
+random order and saves a CSV file, which `jaxblur votes` analyzes."""
 
 
 def add_parser(commands: Any) -> None:

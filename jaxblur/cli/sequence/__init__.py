@@ -12,5 +12,11 @@ from .options import (
     refuse_options as refuse_options,
     refuse_shell_pattern as refuse_shell_pattern,
 )
-from .plan import frames_on_disk as frames_on_disk, with_all_frames as with_all_frames
+from .plan import (
+    check_truth as check_truth,
+    frames_on_disk as frames_on_disk,
+    names_of as names_of,
+    with_all_frames as with_all_frames,
+)
+from .report import print_scores as print_scores, scores_record as scores_record
 from .run import blur_sequence as blur_sequence

@@ -17,7 +17,7 @@ from ..loading import Loaded, Source, mismatch
 from ..progress import about_frame
 from ..scores import scores_of
 from . import report
-from .plan import roles
+from .plan import at_job
 
 LOG = logging.getLogger("jaxblur")
 
@@ -68,7 +68,7 @@ class FrameWork:
         shared = self.shared or Shared(numbers)
         own, *others = shared.take(numbers, functools.partial(self._read_sources, job))
         with about_frame(job.frame):
-            eyes = views.each(self._at(job))
+            eyes = views.each(at_job(self.arguments, job))
             self._check_files(job, eyes)
             for eye in eyes:
                 outputs.warn_of_double_blur(eye)
@@ -104,7 +104,7 @@ class FrameWork:
     def _read_sources(self, job: Any, number: int) -> list[Source]:
         """Read the views of a frame or of its neighbor."""
         with about_frame(number):
-            return [loading.read(eye) for eye in views.each(self._at(job, number))]
+            return [loading.read(eye) for eye in views.each(at_job(self.arguments, job, number))]
 
     def _seen(self, frame: int, frames: list[Loaded], number: int, sources: Any) -> list[Source]:
         """The views of a neighbor if all of them may be seen, or none with a message."""
@@ -214,11 +214,3 @@ class FrameWork:
                 yield
         finally:
             self.devices.put(device)
-
-    def _at(self, job: Any, number: int | None = None) -> argparse.Namespace:
-        """The arguments for the frame of a job, or for one of its neighbors."""
-        inputs = job.neighbors.get(number, job.inputs)
-        here: dict[str, Any] = {role: inputs.get(role) for role in roles(self.arguments)}
-        if self.arguments.seed == "frame":
-            here["seed"] = job.frame
-        return argparse.Namespace(**vars(self.arguments) | here)

@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser, existing: Any) -> None:
         "--dry-run",
         action="store_true",
         help="print what would be read and written, of a sequence what would be done with each "
-        "frame, and write nothing",
+        "frame, and write nothing; says whether nothing moves in the frame, or in the first one",
     )
     group = parser.add_argument_group("sequences, whose names hold ####, %04d, @@@@ or $F4")
     group.add_argument(

@@ -12,7 +12,7 @@ from typing import Any
 
 import jaxblur
 
-from .. import outputs, stack, strength, views
+from .. import outputs, stack, strength, view_files, views
 from ..arguments import CommandError
 from ..choice import Choice
 from ..filtering import takes_neighbors
@@ -25,10 +25,11 @@ LOG = logging.getLogger("jaxblur")
 # parameters counts by its contents.
 NOT_A_CHOICE = frozenset(
     {
-        *("command", "run", "verbose", "quiet", "input", "inputs", "output"),
+        *("command", "run", "option_defaults", "verbose", "quiet", "input", "inputs", "output"),
         *("frames", "cut", "parameters"),
         *("overwrite", "skip_existing", "dry_run", "json", "png", "scheduler", "workers"),
-        *("truth", "truth_layer", "result", "velocity_from", "depth_from", "no_compile_cache"),
+        *("truth", "truth_layer", "in_truth", "result"),
+        *("velocity_from", "depth_from", "no_compile_cache"),
         # A file of cameras counts by its contents.
         *("matte_from", "left_input", "camera"),
         # The quality counts by its samples.
@@ -59,7 +60,7 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     Raises:
         CommandError: an option is wrong, or there is no frame.
     """
-    from jaxblur.sequence import has_frame_number, parse_names, plan_jobs
+    from jaxblur.sequence import parse_names, plan_jobs
 
     if arguments.workers and arguments.scheduler != "local":
         raise CommandError("--workers: is for --scheduler local.")
@@ -67,14 +68,10 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         if getattr(arguments, name):
             also = "" if name == "subframes" else ", which finds its neighbors by itself"
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
-    sources = _inputs(arguments)
+    sources = names_of(arguments, roles(arguments))
     outputs.check_output(arguments)
     frames = arguments.frames or frames_on_disk(sources["input"])
-    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
-        raise CommandError(
-            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
-            "truth.####.exr."
-        )
+    check_truth(arguments, frames)
     if arguments.result is not None and arguments.output.suffix.lower() != ".exr":
         raise CommandError(
             f"--result: the frames of a sequence are read back from {arguments.output}, and "
@@ -98,6 +95,25 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     return plan, sources["input"]
 
 
+def check_truth(arguments: argparse.Namespace, frames: Sequence[int]) -> None:
+    """Reject one truth for many frames.
+
+    Args:
+        arguments: of the command.
+        frames: numbers of the frames.
+
+    Raises:
+        CommandError: it is so.
+    """
+    from jaxblur.sequence import has_frame_number
+
+    if arguments.truth is not None and len(frames) > 1 and not has_frame_number(arguments.truth):
+        raise CommandError(
+            f"--truth: {arguments.truth} is one file for {len(frames)} frames; write it as "
+            "truth.####.exr."
+        )
+
+
 def refuse(plan: Any, names: Any) -> None:
     """Stop before any work if an output must not be replaced, or if there is no input.
 
@@ -113,27 +129,50 @@ def refuse(plan: Any, names: Any) -> None:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise CommandError(f"{refused[0].reason}{more}.")
     if len(missing) == len(plan.jobs):
-        raise CommandError(
-            f"{missing[0].reason}, nor any other frame asked for{_padding_hint(names)}."
-        )
+        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{_hint(names)}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     """The roles of all files of a frame."""
     left = ["left_input"] if "left_input" in arguments else []
-    own = ("velocity_from", "depth_from", "matte_from", "truth")
+    own = ("velocity_from", "depth_from", "matte_from", *view_files.truths_of(arguments))
     return (*stack.roles(arguments), *left, *own)
 
 
-def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Names of the inputs by role."""
+def at_job(
+    arguments: argparse.Namespace, job: Any, number: int | None = None
+) -> argparse.Namespace:
+    """The arguments for the frame of a job, or for one of its neighbors.
+
+    Args:
+        arguments: of the command.
+        job: of the frame.
+        number: of a neighbor, if it is for that.
+    """
+    inputs = job.neighbors.get(number, job.inputs)
+    here: dict[str, Any] = {role: inputs.get(role) for role in roles(arguments)}
+    if arguments.seed == "frame":
+        here["seed"] = job.frame
+    return argparse.Namespace(**vars(arguments) | here)
+
+
+def names_of(arguments: argparse.Namespace, roles: Sequence[str]) -> dict[str, Any]:
+    """Names of the inputs of a sequence.
+
+    Args:
+        arguments: of the command.
+        roles: of the inputs, ``input`` among them.
+
+    Returns:
+        A `jaxblur.sequence.FrameNames` by role, or the path of a file that serves all frames.
+    """
     from jaxblur.sequence import has_frame_number, parse_names
 
-    given = {role: getattr(arguments, role) for role in roles(arguments)}
+    given = {role: getattr(arguments, role) for role in roles}
     return {
         role: parse_names(_placed(arguments, path))
         if has_frame_number(path) or role == "input"
-        else path
+        else _placed(arguments, path)
         for role, path in given.items()
         if path is not None
     }
@@ -141,7 +180,8 @@ def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _placed(arguments: argparse.Namespace, path: pathlib.Path) -> pathlib.Path:
     """The path of a file for workers, which may stand in another folder."""
-    return pathlib.Path(os.path.abspath(path)) if arguments.scheduler else path
+    scheduler = getattr(arguments, "scheduler", None)
+    return pathlib.Path(os.path.abspath(path)) if scheduler else path
 
 
 def _views(
@@ -171,19 +211,24 @@ def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:
 def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     """Every choice that determines an output besides its inputs.
 
-    A new option counts unless it is named in `NOT_A_CHOICE`, a new setting unless it has its
-    default.
+    An option counts unless it is named in `NOT_A_CHOICE`. Options and settings count where they
+    differ from their defaults, so that a new one leaves outputs as they are.
     """
-    places = NOT_A_CHOICE | {*stack.roles(arguments)}
-    given = {key: value for key, value in vars(arguments).items() if key not in places}
+    places, usual = NOT_A_CHOICE | {*roles(arguments)}, arguments.option_defaults
+    given = {
+        key: value
+        for key, value in vars(arguments).items()
+        if key not in places and value != usual.get(key)
+    }
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:
         given["exposure"] = arguments.exposure._asdict()
-    is_file = isinstance(arguments.camera, pathlib.Path)
-    given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
-    usual = dataclasses.asdict(type(asked.settings)())
-    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != usual[k]}
+    if arguments.camera is not None:
+        is_file = isinstance(arguments.camera, pathlib.Path)
+        given["camera"] = _sha256(str(arguments.camera)) if is_file else arguments.camera
+    plain = dataclasses.asdict(type(asked.settings)())
+    changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != plain[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
     return given | chosen | {"version": jaxblur.__version__}
 
@@ -228,18 +273,19 @@ def frames_on_disk(names: Any) -> list[int]:
 
     frames = names.frames_on_disk()
     if not frames:
-        raise CommandError(f"{names.pattern}: no such frames{_padding_hint(names)}.")
+        raise CommandError(f"{names.pattern}: no such frames{_hint(names)}.")
     missing = missing_frames(frames)
     if missing:
         LOG.warning("%s: missing frames: %s.", names.pattern, missing)
     return frames
 
 
-def _padding_hint(names: Any) -> str:
+def _hint(names: Any) -> str:
     """What files there are instead, and the pattern for them."""
     other = names.other_padding()
     if other is None:
-        return ""
+        near = " or ".join(map(repr, names.near_patterns()))
+        return f"; near that name there is {near}" if near else ""
     first, *more = other.frames_on_disk()
     found = f"{other.path(first).name}{f' and {len(more)} more' if more else ''}"
     asked = f"{names.digits} digits" if names.digits > 1 else "no padding"

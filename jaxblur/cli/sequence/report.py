@@ -97,8 +97,17 @@ def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) 
         print(json.dumps({"frames": records, "cuts": cut_frames}, indent=2))
         return
     print_line(f"{arguments.output}: {_counts(r['status'] for r in records)}")
-    rows = _score_rows(records)
-    if rows:
+    print_scores(records)
+
+
+def print_scores(records: Sequence[Mapping[str, Any]]) -> None:
+    """Print the scores of frames that have a truth, and their means.
+
+    Args:
+        records: of the frames: ``frame``, ``filter``, ``view`` where each view has files, and the
+            entries of `scores_record`.
+    """
+    if rows := _score_rows(records):
         print_table(("frame", *SCORE_COLUMNS), rows)
 
 
@@ -115,7 +124,7 @@ def _counts(words: Iterable[str]) -> str:
     return ", ".join(f"{count} {word}" for word, count in counts.items())
 
 
-def _score_rows(records: list[dict[str, Any]]) -> list[tuple[Any, ...]]:
+def _score_rows(records: Sequence[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
     """A row for each frame that has a truth, and the means."""
     scored = [
         (record, view, scores)

@@ -7,15 +7,16 @@ import queue
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .. import mattes, results, strength, view_files
+from .. import mattes, results, strength, view_files, views
 from ..arguments import in_option_names
 from ..choice import Choice
 from ..compute import start_jax
 from ..errors import FAILED, is_foreseeable, message_of
+from ..loading import tell_rest
 from ..progress import about_frame, frame_messages, progress
 from . import report
 from .frame_work import FrameWork
-from .plan import make_plan, refuse, with_all_frames
+from .plan import at_job, make_plan, refuse, with_all_frames
 
 LOG = logging.getLogger("jaxblur")
 
@@ -44,6 +45,8 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
         arguments.seed = "frame"
     runs = [_Run(each, asked) for each in with_all_frames(view_files.each(arguments))]
     if arguments.dry_run:
+        for run in runs:
+            run.tell_rest()
         jobs = [job for run in runs for job in run.plan.jobs]
         return report.print_plan(jobs, _records(runs), arguments.json)
     for run in runs:
@@ -66,13 +69,15 @@ def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
 
 def _leave_result(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> None:
     """Write the result folder of all frames that are there, if one is asked for."""
-    there = [(run.arguments, job) for run in runs for job in run.done_jobs()]
+    there = [
+        (at_job(run.arguments, job), job, run.records[job.frame].get("seconds", {}).get("blur"))
+        for run in runs
+        for job in run.done_jobs()
+    ]
     if not arguments.result or not there:
         return
-    first, job = there[0]
-    shots = (shot for each, job in there for shot in results.shots_of_frame(each, job))
-    first = argparse.Namespace(**vars(first) | {"input": job.inputs["input"]})
-    results.write(arguments, first, shots)
+    shots = (shot for each in there for shot in results.shots_of_frame(*each))
+    results.write(arguments, there[0][0], shots)
 
 
 class _Run:
@@ -84,6 +89,18 @@ class _Run:
         self.selects: list[bool] = []
         self.view = view_files.label_of(arguments, several=False)
         self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
+
+    def tell_rest(self) -> None:
+        """Say whether nothing moves in the first frame that is to be blurred."""
+        from jaxblur.exr import JaxblurIOError
+
+        for job in self.plan.with_action("blur")[:1]:
+            with about_frame(job.frame):
+                try:
+                    for eye in views.each(at_job(self.arguments, job)):
+                        tell_rest(eye, self.asked.settings)
+                except JaxblurIOError as error:
+                    LOG.warning("cannot be blurred: %s", error)
 
     def work(self) -> None:
         """Work on the frames that are to be blurred or passed through."""
@@ -160,7 +177,7 @@ class _Run:
 
     def _note(self, outcome: Any, tell: Callable[[str], None]) -> None:
         record = self.records[outcome.job.frame]
-        record["seconds"] = {k: round(v, 3) for k, v in outcome.seconds.items()}
+        record["seconds"] = {k: round(v, 6) for k, v in outcome.seconds.items()}
         with about_frame(outcome.job.frame):
             for level, text in outcome.messages:
                 LOG.log(level, "%s", in_option_names(text, vars(self.arguments)))

@@ -22,8 +22,10 @@ for (let level = 0; level <= LEVELS; level += 1) {
 
 const current = () => shots[view.shot];
 const pictureAt = (index) => current().pictures[index];
-const drawable = (picture) => Boolean(picture.mantissa);
+const drawable = (picture) => Boolean(picture.mantissa || picture.high);
 const truthIndex = () => current().pictures.findIndex((picture) => picture.truth);
+const hasErrors = () => current().pictures.some((picture) => picture.flip);
+const showsError = (picture) => view.flip && Boolean(picture.flip);
 
 // Pixels of pictures: decoded once and kept while the page is open.
 
@@ -40,9 +42,21 @@ async function pixelsOf(uri, width, height) {
 function decode(shot, picture) {
   picture.decoded ??= (async () => {
     const { width, height } = shot;
-    const [mantissa, exponent, flip] = await Promise.all(
-      [picture.mantissa, picture.exponent, picture.flip].map((uri) => uri && pixelsOf(uri, width, height)),
+    const parts = [picture.mantissa, picture.exponent, picture.flip, picture.high, picture.low];
+    const [mantissa, exponent, flip, high, low] = await Promise.all(
+      parts.map((uri) => uri && pixelsOf(uri, width, height)),
     );
+    if (high) {
+      picture.vectors = Float32Array.from({ length: 2 * width * height }, (_, k) => {
+        const place = 4 * (k >> 1) + (k & 1);
+        return (256 * high[place] + low[place] - 32768) * picture.step;
+      });
+      picture.fastest = 0;
+      for (let k = 0; k < picture.vectors.length; k += 2) {
+        picture.fastest = Math.max(picture.fastest, Math.hypot(picture.vectors[k], picture.vectors[k + 1]));
+      }
+      return picture;
+    }
     const light = new Float32Array(3 * width * height);
     for (let pixel = 0; pixel < width * height; pixel += 1) {
       const factor = 2 ** (exponent[4 * pixel] - 136);
@@ -63,20 +77,43 @@ function magma(error) {
   return MAGMA[below].map((low, channel) => low + (place - below) * (MAGMA[below + 1][channel] - low));
 }
 
+// The colors of `jaxblur.show`: hue is the direction, saturation the speed up to 1.
+function wheel(x, y) {
+  const hue = (6 + (3 * Math.atan2(y, x)) / Math.PI) % 6;
+  const speed = Math.min(Math.hypot(x, y), 1);
+  return [0, 4, 2].map((shift) => {
+    const pure = Math.min(Math.max(Math.abs(((hue + shift) % 6) - 3) - 1, 0), 1);
+    return 255 * (1 - speed * (1 - pure));
+  });
+}
+
+function paintLight(pixels, { light }) {
+  const gain = LEVELS * 2 ** view.exposure;
+  for (let pixel = 0; pixel < light.length / 3; pixel += 1) {
+    for (let channel = 0; channel < 3; channel += 1) {
+      pixels[4 * pixel + channel] = encoded[Math.min(LEVELS, (light[3 * pixel + channel] * gain + 0.5) | 0)];
+    }
+  }
+}
+
+function paintError(pixels, { error }) {
+  error.forEach((value, pixel) => pixels.set(magma(value), 4 * pixel));
+}
+
+function paintVectors(pixels, { vectors, fastest }) {
+  const scale = 2 ** view.exposure / (fastest || 1);
+  for (let pixel = 0; pixel < vectors.length / 2; pixel += 1) {
+    pixels.set(wheel(scale * vectors[2 * pixel], scale * vectors[2 * pixel + 1]), 4 * pixel);
+  }
+}
+
 function shown(shot, picture) {
-  const key = view.flip && picture.error ? "flip" : view.exposure;
+  const key = showsError(picture) ? "flip" : view.exposure;
   if (picture.shownKey === key) return picture.shown;
   const data = new ImageData(shot.width, shot.height);
-  const gain = LEVELS * 2 ** view.exposure;
-  for (let pixel = 0; pixel < shot.width * shot.height; pixel += 1) {
-    const color = key === "flip" ? magma(picture.error[pixel]) : null;
-    for (let channel = 0; channel < 3; channel += 1) {
-      data.data[4 * pixel + channel] = color
-        ? color[channel]
-        : encoded[Math.min(LEVELS, (picture.light[3 * pixel + channel] * gain + 0.5) | 0)];
-    }
-    data.data[4 * pixel + 3] = 255;
-  }
+  data.data.fill(255);
+  const paint = showsError(picture) ? paintError : picture.vectors ? paintVectors : paintLight;
+  paint(data.data, picture);
   picture.shown = new OffscreenCanvas(shot.width, shot.height);
   picture.shown.getContext("2d").putImageData(data, 0, 0);
   picture.shownKey = key;
@@ -164,8 +201,12 @@ function read() {
   const lines = [`row ${probe.row + shot.top}, column ${probe.column + shot.left}`];
   for (const index of new Set([view.picture, view.reference])) {
     const picture = pictureAt(index);
-    if (!picture.light) continue;
     const pixel = probe.row * shot.width + probe.column;
+    if (picture.vectors) {
+      const [x, y] = [0, 1].map((axis) => picture.vectors[2 * pixel + axis].toFixed(2));
+      lines.push(`${picture.method}: x ${x} y ${y} px (half-spread)`);
+    }
+    if (!picture.light) continue;
     const values = Array.from(picture.light.slice(3 * pixel, 3 * pixel + 3), (v) => v.toPrecision(4));
     const error = picture.error ? `  FLIP ${picture.error[pixel].toFixed(3)}` : "";
     lines.push(`${picture.method}: R ${values[0]} G ${values[1]} B ${values[2]}${error}`);
@@ -195,7 +236,7 @@ function update() {
   element("tag-right").textContent = view.slide < 100 ? reference.method : "";
   element("divider").hidden = view.slide === 0 || view.slide === 100;
   element("divider").style.left = `calc(${view.slide}% - 1px)`;
-  canvas.setAttribute("aria-label", `${view.flip ? "FLIP map" : "Picture"} of ${shot.name} by ${picture.method}`);
+  canvas.setAttribute("aria-label", `${showsError(picture) ? "FLIP map" : "Picture"} of ${shot.name} by ${picture.method}`);
   for (const row of document.querySelectorAll("tr[data-method]")) {
     const chosen = row.dataset.shot === shot.name && row.dataset.method === picture.method;
     row.classList.toggle("chosen", chosen);
@@ -223,8 +264,9 @@ function choose(index) {
 function chooseShot(index) {
   view.shot = index;
   view.picture = Math.min(view.picture, current().pictures.length - 1);
-  view.reference = truthIndex();
+  view.reference = Math.max(truthIndex(), 0);
   view.probe = null;
+  element("flip").hidden = !hasErrors();
   fillMethods();
   sizeStage();
   drawPlot();
@@ -423,6 +465,7 @@ function expose(stops) {
 }
 
 function toggleFlip() {
+  if (!hasErrors()) return;
   view.flip = !view.flip;
   announce(view.flip ? "FLIP map" : "Picture");
   update();
@@ -521,4 +564,6 @@ function showRow(row) {
 
 fillOptions(element("shot"), shots.map((shot) => shot.name));
 listen();
+// Without a truth, pictures are compared with the first one.
+if (truthIndex() < 0 && current().pictures.length > 1) view.picture = 1;
 chooseShot(0);
