@@ -183,7 +183,9 @@ def test_a_known_derivative():
     black = np.zeros((12, 20, 3), np.float32)
 
     def brighter(x):
-        return frame.replace(color=frame.color * (1 + x))
+        """With alpha, which does not count."""
+        alpha = jnp.ones((12, 20, 1))
+        return frame.replace(color=jnp.concatenate([frame.color * (1 + x), alpha], axis=2))
 
     table = small(truth=black, directions={"light": brighter})
     row = table.rows[-1]
@@ -314,6 +316,10 @@ def test_rows_outside_a_range():
         ({"directions": [1]}, "`directions` must hold functions by name"),
         ({"directions": {"up": 3}}, r"`directions\['up'\]` must be a function"),
         ({"directions": {"up": lambda x: x}}, r"`directions\['up'\]\(x\)` must be a jaxblur.Frame"),
+        (
+            {"directions": {"up": lambda x: random_frame((3, 4))}},
+            r"`directions\['up'\]\(x\)` must give a frame like `frame`, of color \(12, 20, 3\)",
+        ),
         ({"loss": lambda image, truth: image}, "`loss` must give a number"),
         ({"loss": lambda image, truth: jnp.mean(image) / 0}, "`loss` must be finite"),
     ],

@@ -76,7 +76,16 @@ def frame_quantity(name: str, here: Point, direction: Direction, at: float = 0.0
     def move(x: Any) -> Point:
         moved = direction(x)
         check_frame_type(moved, f"directions[{name!r}](x)")
-        return here._replace(frame=check_frame(moved))
+        moved = check_frame(moved)
+        # Alpha does not count, as in the frame itself.
+        shape = here.frame.color.shape
+        color = moved.color[..., : shape[2]]
+        if color.shape != shape:
+            raise ValueError(
+                f"`directions[{name!r}](x)` must give a frame like `frame`, of color {shape}, got "
+                f"{moved.color.shape}."
+            )
+        return here._replace(frame=moved.replace(color=color))
 
     return Quantity(name, at, move)
 
