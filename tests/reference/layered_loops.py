@@ -351,7 +351,7 @@ def layered_pixel(color, paths, depth, owners, at, tap, parameters, settings, cl
         shares = shares * np.clip(1.5 - nearer, 0, 1)
         rear += shares[0] * seen + shares[1] * other_seen + empty * behind
         rear_weights += sum(shares) + empty * known
-    share = (count - weights) / max(rear_weights, 1e-3)
+    share = (count - weights) / max(rear_weights, 0.5)
     total, weights = total + share * rear, weights + share * rear_weights
     return total / weights if weights > 1e-3 else color[at]
 

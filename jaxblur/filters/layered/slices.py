@@ -31,6 +31,10 @@ from .paths import Path
 SMALLEST_WEIGHT = 1e-3
 """Pixels whose slices together weigh less keep their color."""
 
+SMALLEST_REAR = 0.5
+"""Slices by which a pixel must show its rear before that stands for all that is missing: a guess
+that hardly lands would be taken many times, and its derivative is noise."""
+
 
 class Images(NamedTuple):
     """Images of pass L5.
@@ -172,7 +176,7 @@ def filled(seen: Sums, rear: Sums, light: Array) -> Sums:
         light: what all slices count.
     """
     missing = jnp.maximum(light - seen.weight, 0)
-    share = missing / jnp.maximum(rear.weight, SMALLEST_WEIGHT)
+    share = missing / jnp.maximum(rear.weight, SMALLEST_REAR)
     return Sums(
         tuple(a + share * b for a, b in zip(seen.color, rear.color, strict=True)),
         seen.weight + share * rear.weight,
