@@ -55,8 +55,8 @@ if "XLA_FLAGS" not in os.environ:
 # GCC takes half of the time at this level, and kernels run nearly as fast.
 os.environ.setdefault("JAXBLUR_KERNEL_FLAGS", "-Og")
 
-# pytest -n runs a process on each core; more threads would wait for each other. With several run
-# the slow test above and tests/test_devices.py.
+# pytest -n runs a process on each core; more threads would wait for each other. The slow test above
+# has several.
 os.environ.setdefault("PJRT_NPROC", "1")
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"

@@ -97,8 +97,9 @@ class StackSums(NamedTuple):
 
     Attributes:
         front: color of all layers but the last, composited.
-        last: what is known of the last layer, seen through the others.
-        rear: the part of it that is not in front of the pixel's own surface.
+        last: color and weight of what is known of the last layer, both times how much the layers
+            before it let through.
+        rear: the part of `last` that is not in front of the pixel's own surface.
         through: how much of it is seen.
         counts: what the slices count.
     """

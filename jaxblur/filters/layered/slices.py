@@ -32,8 +32,8 @@ SMALLEST_WEIGHT = 1e-3
 """Pixels whose slices together weigh less keep their color."""
 
 SMALLEST_REAR = 0.5
-"""Slices by which a pixel must show its rear before that stands for all that is missing: a guess
-that hardly lands would be taken many times, and its derivative is noise."""
+"""For how many slices a pixel must show its rear before the rear stands for all that is missing.
+Below, a guess that hardly lands would stand for many slices, and its derivative would be noise."""
 
 
 class Images(NamedTuple):
