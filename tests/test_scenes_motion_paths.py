@@ -25,7 +25,7 @@ from jaxblur.scenes.swept import edge_polynomials, sweep
 
 pytestmark = pytest.mark.slow
 
-SIZE = (54, 96)
+SIZE = (36, 64)
 BITS = 64
 MIDDLES = (np.arange(BITS) + 0.5) / BITS
 BOX = Clock(light_table("box"), jnp.array([-0.5, 0.5]))
