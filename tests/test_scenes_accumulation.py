@@ -22,7 +22,7 @@ from jaxblur.scenes import (
 
 pytestmark = pytest.mark.slow
 
-SIZE = (54, 96)
+SIZE = (36, 64)
 BLACK = daylight((0, 0, 1), zenith=(0,) * 3, horizon=(0,) * 3, ground=(0,) * 3, clouds=0.0)
 
 
@@ -57,7 +57,7 @@ def box_average(values, width, axis):
 
 def test_uniform_pan_is_the_box_filter_along_the_velocity():
     a_scene, fine = SCENES["uniform_pan"](), 8
-    per_frame = float(render(a_scene, shutter=2.0, size=SIZE).velocity[27, 48, 0])
+    per_frame = float(render(a_scene, shutter=2.0, size=SIZE).velocity[18, 32, 0])
     blur = 4
     open_for = blur / abs(per_frame)
     truth = np.asarray(accumulate(a_scene, 0.0, open_for, 192, SIZE))
@@ -85,7 +85,7 @@ def test_a_still_scene_accumulates_to_its_sharp_frame():
 
 def test_more_samples_come_closer_to_the_truth():
     a_scene = SCENES["crossing"]()
-    truth = accumulate(a_scene, samples=256, size=SIZE)
+    truth = accumulate(a_scene, samples=128, size=SIZE)
     errors = [psnr(accumulate(a_scene, samples=n, size=SIZE), truth) for n in (4, 16, 64)]
     assert np.all(np.diff(errors) > 3)
     assert errors[-1] > 35
@@ -103,7 +103,7 @@ def test_truth_is_aligned_with_the_frame_to_a_tenth_of_a_pixel():
     # The method would detect a shift of half a pixel.
     moved = (sharp[:, 1:] + sharp[:, :-1])[1:-1, 1:-1].ravel() / 2
     seen = np.linalg.lstsq(
-        gradient.reshape(52, 94, 2)[:, :-1].reshape(-1, 2),
+        gradient.reshape(SIZE[0] - 2, SIZE[1] - 2, 2)[:, :-1].reshape(-1, 2),
         moved - sharp[1:-1, 1:-2].ravel(),
         rcond=None,
     )[0]
@@ -154,9 +154,9 @@ def test_placement_moves_the_exposure_by_half_the_shutter():
         placement: center_column(accumulate(a_scene, samples=64, size=SIZE, placement=placement))
         for placement in shutter.PLACEMENTS
     }
-    assert centers["centered"] == pytest.approx(48, abs=0.02)
-    assert centers["leading"] - 48 == pytest.approx(half, abs=0.05)
-    assert centers["trailing"] - 48 == pytest.approx(-half, abs=0.05)
+    assert centers["centered"] == pytest.approx(SIZE[1] / 2, abs=0.02)
+    assert centers["leading"] - SIZE[1] / 2 == pytest.approx(half, abs=0.05)
+    assert centers["trailing"] - SIZE[1] / 2 == pytest.approx(-half, abs=0.05)
 
 
 def test_shutter_function_sets_the_profile_of_the_blur():
@@ -165,8 +165,8 @@ def test_shutter_function_sets_the_profile_of_the_blur():
     spread = 1.6 * pixels_per_unit(a_scene) * 0.5
     still = None
     for name in ("box", "triangle"):
-        light = np.asarray(accumulate(a_scene, 0, 0.5, 128, SIZE, name))[27, :, 0]
-        variance = np.sum((columns - 48) ** 2 * light) / light.sum()
+        light = np.asarray(accumulate(a_scene, 0, 0.5, 128, SIZE, name))[18, :, 0]
+        variance = np.sum((columns - SIZE[1] / 2) ** 2 * light) / light.sum()
         square = pixels_per_unit(a_scene) ** 2 / 12 + 1 / 12
         assert variance == pytest.approx(square + spread**2 * VARIANCES[name], rel=0.01)
         assert still != variance
@@ -184,8 +184,8 @@ def test_rolling_shutter_skews_a_moving_edge(readout):
     # Row r is exposed readout r/H frames later, while the edge moves 0.4 units per frame.
     expected = readout * 0.4 * pixels_per_unit(a_scene) / SIZE[0]
     assert slope == pytest.approx(expected, rel=0.02)
-    assert centers.mean() == pytest.approx(48, abs=0.05)
-    ideal = 48 + expected * (rows - (SIZE[0] - 1) / 2)
+    assert centers.mean() == pytest.approx(SIZE[1] / 2, abs=0.05)
+    ideal = SIZE[1] / 2 + expected * (rows - (SIZE[0] - 1) / 2)
     assert np.abs(centers - ideal).max() < 0.1
 
 

@@ -55,7 +55,7 @@ def sheet_over_wall(velocity=(2.0, 0.0, 0.0)):
     return scenes.make_scene("square", bodies, motion.camera((0, 0, 7), (0, 0, 0)), light)
 
 
-def center_truth(scene, size=SIZE, samples=256, shutter=0.5):
+def center_truth(scene, size=SIZE, samples=128, shutter=0.5):
     """The mean of sharp images with the sample position that `motion_paths` has by default.
 
     That is, at the pixels' centers, with textures averaged over a pixel.
@@ -258,13 +258,13 @@ def test_an_edge_that_moves_over_a_pixel_covers_it_for_part_of_the_time():
 def test_equals_antialiased_accumulation():
     scene = scenes.SCENES["crossing"]()
     image = motion_paths(scene, size=SIZE, spatial_samples=16)
-    truth = scenes.accumulate(scene, samples=256, size=SIZE)
+    truth = scenes.accumulate(scene, samples=128, size=SIZE)
     assert float(metrics.psnr(image, truth)) > 40
 
 
 def test_rotation_needs_pieces():
     scene = scenes.SCENES["gears"]()
-    truth = center_truth(scene, samples=64, shutter=2.0)
+    truth = center_truth(scene, samples=48, shutter=2.0)
     cut, whole = (motion_paths(scene, 0.0, 2.0, SIZE, pieces=pieces) for pieces in (None, 1))
     good, bad = (float(metrics.psnr(image, truth)) for image in (cut, whole))
     assert good > 38 and good > bad + 3, (good, bad)
@@ -273,7 +273,7 @@ def test_rotation_needs_pieces():
 def test_shutter_functions_weight_time():
     scene = sheet_over_wall()
     curve = "triangle"
-    truth = scenes.accumulate(scene, samples=256, size=SIZE, shutter_function=curve)
+    truth = scenes.accumulate(scene, samples=128, size=SIZE, shutter_function=curve)
     image = motion_paths(scene, size=SIZE, shutter_function=curve, pieces=3, spatial_samples=16)
     assert float(metrics.psnr(image, truth)) > 40
 

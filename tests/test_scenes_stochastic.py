@@ -10,7 +10,7 @@ from jaxblur.scenes.keyframes import light_at, light_table, needed_pieces, posit
 
 pytestmark = pytest.mark.slow
 
-SIZE = (36, 64)
+SIZE = (27, 48)
 SEEDS = 6
 
 
@@ -34,7 +34,7 @@ def spinning_bar(rate):
 
 @pytest.fixture(scope="module")
 def truth():
-    return scenes.accumulate(scenes.SCENES["crossing"](), samples=256, size=SIZE)
+    return scenes.accumulate(scenes.SCENES["crossing"](), samples=128, size=SIZE)
 
 
 def test_error_falls_with_the_number_of_samples(truth):
@@ -62,7 +62,7 @@ def test_one_seed_gives_one_image():
 def test_fast_rotation_within_one_stratum_follows_the_arc():
     """In a single stratum of a third of a turn a chord would cut through the middle."""
     scene = spinning_bar(4 * np.pi / 3)
-    true = scenes.accumulate(scene, samples=128, size=SIZE)
+    true = scenes.accumulate(scene, samples=64, size=SIZE)
     images = [stochastic(scene, samples=1, size=SIZE, seed=seed) for seed in range(SEEDS)]
     noise = rms(images[0] - true)
     assert rms(sum(images) / len(images) - true) < 1.5 * noise / len(images) ** 0.5
@@ -71,11 +71,11 @@ def test_fast_rotation_within_one_stratum_follows_the_arc():
 def test_time_is_weighted_by_the_shutter_function():
     scene = scenes.SCENES["crossing"]()
     true, box = (
-        scenes.accumulate(scene, samples=128, size=SIZE, shutter_function=name)
+        scenes.accumulate(scene, samples=64, size=SIZE, shutter_function=name)
         for name in ("triangle", "box")
     )
-    image = stochastic(scene, samples=128, size=SIZE, shutter_function="triangle")
-    assert rms(image - true) < 0.35 * rms(image - box)
+    image = stochastic(scene, samples=64, size=SIZE, shutter_function="triangle")
+    assert rms(image - true) < 0.7 * rms(image - box)
 
 
 def test_placement_moves_the_exposure():
