@@ -56,14 +56,6 @@ def test_a_port_tests_itself_with_what_is_in_the_folder(exported, tmp_path):
     check_port(exported, tmp_path)
 
 
-def test_a_port_without_noise_tests_itself(tmp_path):
-    # Samples of 35 lie at multiples of 1/18 of a vector: at round speeds, between two texels.
-    folder = tmp_path / "port"
-    options = ("--filter", "pixel_velocity", "--noise", "none", "--language", "c", "-o", folder)
-    assert run("export", *options).status == 0
-    check_port(folder, tmp_path)
-
-
 def test_noise_that_is_an_input_is_explained(exported, tmp_path):
     folder = tmp_path / "port"
     options = ("--filter", "pixel_velocity", "--noise", "halton", "--language", "wgsl")
