@@ -159,6 +159,17 @@ def test_alpha_is_on_the_page_and_masks_are_not(tmp_path):
     np.testing.assert_array_equal(plane_of(data, "truth", 4)[..., :3], truth)
 
 
+def test_a_gray_frame_with_alpha_has_a_page(tmp_path):
+    frame = jaxblur.read_frame(varied(tmp_path), shutter=0.5)
+    gray = frame.replace(color=frame.color[..., 2:])
+    jaxblur.exr.write_frame(tmp_path / "gray.exr", gray, 0.5)
+    page = tmp_path / "page.html"
+    assert run("play", tmp_path / "gray.exr", "--truth", TRUTH, "-o", page, *SMALL).status == 0
+    color = plane_of(data_of(page), "color", 4)
+    expected = np.asarray(gray.color)[..., [0, 0, 0, 1]].astype(np.float16)
+    np.testing.assert_array_equal(color, expected)
+
+
 def test_a_slider_has_the_whole_range_of_a_share(tmp_path):
     page = tmp_path / "page.html"
     asked = ("--filter", "layered", "--filters", "layered", "--sample-counts", "35")

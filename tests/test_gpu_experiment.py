@@ -32,7 +32,7 @@ def test_it_stops_where_values_differ(wrong, monkeypatch, capsys):
         return found if where is device and dtype == "float32" else expected
 
     monkeypatch.setattr(run, "outcome", outcome)
-    with pytest.raises(SystemExit, match="a GPU differs from the CPU: .*'float32'"):
+    with pytest.raises(SystemExit, match=r"a GPU differs from the CPU: .*'float32'"):
         run.check(device, ["guertin2014"], (40, 50))
     assert "float64  0  0  0" in capsys.readouterr().out
     monkeypatch.setattr(run, "outcome", lambda *_: expected)

@@ -142,12 +142,12 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     import numpy as np
 
     start_jax(not arguments.no_compile_cache)
-    from jaxblur import exr, metrics, vectors
+    from jaxblur import exr, vectors
 
     info = exr.inspect(arguments.input)
     colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
-    color = np.asarray(metrics.rgb(colors.light(buffers.color)), np.float32)
-    alpha = buffers.color[..., 3:]
+    color = _light(buffers.color, colors)
+    alpha = buffers.color[..., 1:] if buffers.color.shape[-1] < 3 else buffers.color[..., 3:]
     if (alpha != 1).any():
         color = np.concatenate([color, alpha], axis=-1)
     if buffers.valid is not None:
@@ -169,13 +169,23 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     truth = None
     if arguments.truth is not None:
         stored, colors = read_truth(arguments, color.shape, None)
-        truth = np.asarray(metrics.rgb(colors.light(stored)))
+        truth = _light(stored, colors)
     return page_of(
         *([asked, *others(asked.info, given, arguments.filters)], frame, truth),
         title=arguments.input.name,
         shutter=arguments.shutter,
         counts=arguments.sample_counts,
     )
+
+
+def _light(image: Any, colors: Any) -> Any:
+    """(H, W, 3) float32 light as a screen shows it, without alpha; one channel becomes gray."""
+    import numpy as np
+
+    from jaxblur import metrics
+
+    opaque = image[..., : 3 if image.shape[-1] >= 3 else 1]
+    return np.asarray(metrics.rgb(colors.light(opaque)), np.float32)
 
 
 def others(
