@@ -31,9 +31,9 @@ def check_port(folder, tmp_path):
     }
     wanted = np.fromfile(reference / "blurred.bin", "<f4").reshape(told["expected"]["blurred"])
     name = f"jaxblur_{plan['filter']}"
-    texts = [(folder / f"{name}.{kind}").read_text() for kind in ("c", "h")]
+    source, header = ((folder / f"{name}.{kind}").read_text() for kind in ("c", "h"))
     order = [buffer["name"] for buffer in plan["buffers"] if buffer["role"] == "input"]
-    library = compile_c(name, *texts, tmp_path)
+    library = compile_c(name, source, header, tmp_path)
     found = run_library(library, name, [inputs[each] for each in order], wanted.shape)
     near = np.abs(found - wanted).max(axis=-1) <= told["tolerance"]
     assert near.mean() >= told["share_within_tolerance"]
