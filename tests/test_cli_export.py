@@ -21,6 +21,26 @@ def files_in(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
+def check_port(folder, tmp_path):
+    """Run an export in C on its own reference frame, and compare with what JAX gave for it."""
+    reference, plan = folder / "reference", json.loads((folder / "plan.json").read_text())
+    told = json.loads((reference / "reference.json").read_text())
+    inputs = {
+        name: np.fromfile(reference / f"{name}.bin", "<f4").reshape(shape)
+        for name, shape in told["inputs"].items()
+    }
+    wanted = np.fromfile(reference / "blurred.bin", "<f4").reshape(told["expected"]["blurred"])
+    name = f"jaxblur_{plan['filter']}"
+    source, header = ((folder / f"{name}.{kind}").read_text() for kind in ("c", "h"))
+    order = [buffer["name"] for buffer in plan["buffers"] if buffer["role"] == "input"]
+    library = compile_c(name, source, header, tmp_path)
+    found = run_library(library, name, [inputs[each] for each in order], wanted.shape)
+    near = np.abs(found - wanted).max(axis=-1) <= told["tolerance"]
+    assert near.mean() >= told["share_within_tolerance"]
+    assert (told["tolerance"], told["share_within_tolerance"]) == (TOLERANCE, SHARE)
+    assert np.abs(wanted - inputs["color"]).max() > 0.1
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """An export of mcguire2012 in C with a parameter and a setting of its own."""
@@ -33,25 +53,22 @@ def exported(tmp_path_factory):
 
 
 def test_a_port_tests_itself_with_what_is_in_the_folder(exported, tmp_path):
-    reference = exported / "reference"
-    told = json.loads((reference / "reference.json").read_text())
-    inputs = {
-        name: np.fromfile(reference / f"{name}.bin", "<f4").reshape(shape)
-        for name, shape in told["inputs"].items()
-    }
-    wanted = np.fromfile(reference / "blurred.bin", "<f4").reshape(told["expected"]["blurred"])
-    name = "jaxblur_mcguire2012"
-    library = compile_c(
-        *(name, (exported / f"{name}.c").read_text(), (exported / f"{name}.h").read_text()),
-        tmp_path,
-    )
-    plan = json.loads((exported / "plan.json").read_text())
-    order = [buffer["name"] for buffer in plan["buffers"] if buffer["role"] == "input"]
-    found = run_library(library, name, [inputs[each] for each in order], wanted.shape)
-    near = np.abs(found - wanted).max(axis=-1) <= told["tolerance"]
-    assert near.mean() >= told["share_within_tolerance"]
-    assert (told["tolerance"], told["share_within_tolerance"]) == (TOLERANCE, SHARE)
-    assert np.abs(wanted - inputs["color"]).max() > 0.1
+    check_port(exported, tmp_path)
+
+
+def test_noise_that_is_an_input_is_explained(exported, tmp_path):
+    folder = tmp_path / "port"
+    options = ("--filter", "pixel_velocity", "--noise", "halton", "--language", "wgsl")
+    assert run("export", *options, "-o", folder).status == 0
+    page = (folder / "README.md").read_text()
+    assert "| 3 | `noise_tap` | 1 x float32 | height x width | input |" in page
+    assert "`noise_tap` is 2 h(2) - 1" in page
+    assert "radical inverse" not in (exported / "README.md").read_text()
+    shape = (48, 64)
+    given = np.fromfile(folder / "reference" / "noise_tap.bin", "<f4").reshape(shape)
+    row, column = 5, 6
+    digits = f"{64 * row + column:b}"[::-1]
+    assert given[row, column] == 2 * int(digits, 2) / 2 ** len(digits) - 1
 
 
 def test_the_reference_frame_as_exr_gives_the_expected_picture(exported, tmp_path):
@@ -133,16 +150,29 @@ def test_errors_say_what_to_do(exported, tmp_path):
     assert "--fetch must be nearest or bilinear" in refused(
         *c, tmp_path / "new", "--fetch", "blend"
     )
+    line = refused(*c, tmp_path / "new", "--path", "--filter", "pixel_velocity")
+    assert "--path: pixel_velocity does not read curved paths; leave it out." in line
     assert not (tmp_path / "new").exists()
+    (other / "plan.json").write_text("[]")
+    assert "holds no export (no plan.json with its files)" in refused(*c, other, "--overwrite")
 
 
 def test_an_earlier_export_is_replaced(tmp_path):
     folder = tmp_path / "port"
-    options = ("export", "--filter", "pixel_velocity", "--language", "wgsl", "-o", folder)
-    assert run(*options).status == 0
-    first = json.loads((folder / "plan.json").read_text())["hash"]
-    assert run(*options, "--samples", 9, "--overwrite").status == 0
-    assert json.loads((folder / "plan.json").read_text())["hash"] != first
+    halton = ("--filter", "pixel_velocity", "--noise", "halton", "--language", "glsl")
+    assert run("export", *halton, "-o", folder).status == 0
+    first = json.loads((folder / "plan.json").read_text())
+    assert first["files"] == files_in(folder)
+    (folder / "mine.frag").write_text("mine")
+    (folder / "reference" / "mine.txt").write_text("mine")
+    options = ("--filter", "pixel_velocity", "--language", "wgsl", "--overwrite")
+    assert run("export", *options, "-o", folder).status == 0
+    second = json.loads((folder / "plan.json").read_text())
+    assert second["hash"] != first["hash"]
+    # What the first one alone had is gone: its shaders, and the noise of its frame.
+    assert set(first["files"]) - set(second["files"]) >= {"reference/noise_tap.bin"}
+    mine = {"mine.frag", "reference/mine.txt"}
+    assert files_in(folder) == sorted(set(second["files"]) | mine)
 
 
 def test_nothing_is_left_where_the_disk_refuses(tmp_path, monkeypatch):

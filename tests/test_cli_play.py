@@ -122,6 +122,66 @@ def test_a_page_keeps_equal_texts_once(tmp_path):
     assert texts[0] == printed and texts[1] != printed
 
 
+def varied(tmp_path, *, holes=()):
+    """The frame with alpha that falls off to the left, premultiplied, and with unknown pixels."""
+    frame = jaxblur.read_frame(FRAME, shutter=0.5)
+    color = np.array(frame.color)
+    color *= np.clip(np.arange(color.shape[1]) / 100, 0, 1)[:, None]
+    for row, column in holes:
+        color[row, column] = np.nan
+    jaxblur.exr.write_frame(tmp_path / "varied.exr", frame.replace(color=color), 0.5)
+    return tmp_path / "varied.exr"
+
+
+def plane_of(data, name, channels):
+    """An image of a page."""
+    stored = data["planes"][name]
+    values = np.frombuffer(gzip.decompress(base64.b64decode(stored["data"])), "<f2")
+    return values.reshape(data["height"], data["width"], channels)
+
+
+def test_alpha_is_on_the_page_and_masks_are_not(tmp_path):
+    page = tmp_path / "page.html"
+    outcome = run("play", FRAME, "-o", page, *SMALL)
+    assert data_of(page)["channels"] == 3 and "black" not in outcome.err
+    frame = varied(tmp_path, holes=[(5, 90), (6, 90)])
+    asked = ("--truth", TRUTH, "--nonfinite", "ignore", "--overwrite", *SMALL)
+    outcome = run("play", frame, "-o", page, *asked)
+    assert outcome.status == 0, outcome.err
+    assert "the page takes the 2 ignored pixels as black" in outcome.err
+    data = data_of(page)
+    assert data["channels"] == 4
+    (filter_,) = data["programs"]["filters"]
+    assert all(variant["plan"]["channels"] == 4 for variant in filter_["variants"])
+    color = plane_of(data, "color", 4)
+    assert color[0, 50, 3] == 0.5 and not color[5:7, 90].any()
+    truth = jaxblur.exr.read_image(TRUTH)[..., :3].astype(np.float16)
+    np.testing.assert_array_equal(plane_of(data, "truth", 4)[..., :3], truth)
+
+
+def test_a_gray_frame_with_alpha_has_a_page(tmp_path):
+    frame = jaxblur.read_frame(varied(tmp_path), shutter=0.5)
+    gray = frame.replace(color=frame.color[..., 2:])
+    jaxblur.exr.write_frame(tmp_path / "gray.exr", gray, 0.5)
+    page = tmp_path / "page.html"
+    assert run("play", tmp_path / "gray.exr", "--truth", TRUTH, "-o", page, *SMALL).status == 0
+    color = plane_of(data_of(page), "color", 4)
+    expected = np.asarray(gray.color)[..., [0, 0, 0, 1]].astype(np.float16)
+    np.testing.assert_array_equal(color, expected)
+
+
+def test_a_slider_has_the_whole_range_of_a_share(tmp_path):
+    page = tmp_path / "page.html"
+    asked = ("--filter", "layered", "--filters", "layered", "--sample-counts", "35")
+    assert run("play", FRAME, "-o", page, *asked).status == 0
+    (layered,) = data_of(page)["programs"]["filters"]
+    ranges = {s["name"]: (s["low"], s["high"], s["log"]) for s in layered["parameters"]}
+    # Without noise, and without the bend: ends that a slider by factors could not reach.
+    assert ranges["jitter"] == ranges["bend"] == (0, 1, False)
+    low, high, by_factors = ranges["front_sharpness"]
+    assert 0 < low < 6.7 < high and by_factors
+
+
 def wait(page, expression):
     """Wait for an expression to hold; the page's policy forbids to poll inside of it."""
     ends = time.monotonic() + 90
@@ -254,6 +314,24 @@ def test_the_page_blurs_as_jax_does(page_file, arguments, label, tmp_path):
     # Reading back is what makes the time of WebGL 2 true.
     quiet = ("ReadPixels", "No available adapters")
     assert [text for text in problems if not any(word in text for word in quiet)] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [SHADERS, WITHOUT_WEBGPU], ids=["WebGPU", "WebGL 2"])
+def test_a_frame_with_alpha_blurs_as_on_the_command_line(arguments, tmp_path):
+    frame, file, out = varied(tmp_path), tmp_path / "page.html", tmp_path / "blurred.exr"
+    only = ("--filters", "layered", "--sample-counts", "9", "--samples", 9)
+    assert run("play", frame, "--truth", TRUTH, "-o", file, *only).status == 0
+    assert run("blur", frame, "-o", out, "--samples", 9).status == 0
+    written = jaxblur.exr.read_image(out)
+    with chromium(arguments) as browser:
+        page = browser.new_page()
+        page.goto(file.as_uri())
+        wait(page, "state.count > 0 && !state.running")
+        shown = page.evaluate("state.gpu.read().then((values) => Array.from(values))")
+        near = np.isclose(np.reshape(shown, written.shape), written, rtol=1e-3, atol=1e-4)
+        assert near.all(axis=-1).mean() > 0.999
+        assert agrees(page, written[..., :3], jaxblur.exr.read_image(TRUTH)[..., :3])
 
 
 @pytest.mark.slow

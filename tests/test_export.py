@@ -51,6 +51,15 @@ def frames():
     )
 
 
+def test_no_sample_of_the_reference_frame_lies_between_two_texels():
+    # Rounding would decide there, and a port without noise fail on a frame that it blurs rightly.
+    planes = reference_planes(graph_of(filter_info("guertin2014"), channels=3))
+    speeds = np.unique(planes["velocity"].astype(np.float64).round(4))
+    for count in range(2, 106):
+        places = np.multiply.outer((2 * np.arange(count) + 1 - count) / (count + 1), speeds)
+        assert np.abs(np.abs(places) % 1 - 0.5).min() > 5e-7, count
+
+
 def planes_of(frame):
     planes = {"color": frame.color, "depth": frame.depth, "velocity": frame.velocity}
     return {name: np.asarray(plane, np.float32) for name, plane in planes.items()}

@@ -285,6 +285,7 @@ def _row(
     return row
 
 
+CHECKED = ("filter", "fetch", "precision", "worst", "share beyond 0.001", "derivative, relative")
 COLUMNS = (
     "filter",
     "size",
@@ -330,15 +331,21 @@ def main() -> None:
     extent = QUICK if options.quick else FULL
     checks = check(device, options.filters, (90, 160) if options.quick else (360, 640))
     floor = measure_floor(device, options.quick)
+    head = describe(device, floor), table(CHECKED, checks)
     rows: list[tuple[str, ...]] = []
     for size, batch in itertools.product(extent.sizes, extent.batches):
         rows += measure(options.filters, size, batch, extent, floor)
-    options.output.mkdir(parents=True, exist_ok=True)
-    with (options.output / "results.csv").open("w", newline="", encoding="utf-8") as file:
+        # After each, so that a case that does not fit into memory takes nothing with it.
+        write(options.output, head, rows)
+
+
+def write(folder: pathlib.Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Write what has been measured so far."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "results.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
-    heads = ("filter", "fetch", "precision", "worst", "share beyond 0.001", "derivative, relative")
-    text = "\n".join((describe(device, floor), table(heads, checks), table(COLUMNS, rows)))
-    (options.output / "results.md").write_text(text, encoding="utf-8")
+    text = "\n".join((*head, table(COLUMNS, rows)))
+    (folder / "results.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -83,11 +83,7 @@ def write_package(
     check_empty(folder, overwrite)
     sources = sources_of(graph, language)
     digest = hash_of(graph, sources)
-    plan = {"language": language, "hash": digest, **plan_of(graph)}
-    texts = sources | {
-        PLAN: json.dumps(plan, indent=1) + "\n",
-        "README.md": readme_of(graph, language, list(sources), digest),
-    }
+    texts = sources | {"README.md": readme_of(graph, language, list(sources), digest)}
     planes = reference_planes(graph)
     expected = expected_of(graph, planes)
     temporary = None
@@ -98,6 +94,9 @@ def write_package(
         for name, text in texts.items():
             (temporary / name).write_text(text, encoding="utf-8")
         _write_reference(graph, temporary / "reference", planes, expected)
+        files = sorted([PLAN, *(p.relative_to(temporary).as_posix() for p in _files(temporary))])
+        plan = {"language": language, "hash": digest, "files": files, **plan_of(graph)}
+        (temporary / PLAN).write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
         return _move(temporary, folder)
     except OSError as error:
         raise JaxblurIOError(folder, f"cannot be written: {error.strerror or error}.") from error
@@ -119,8 +118,12 @@ def check_empty(folder: pathlib.Path, overwrite: bool = False) -> None:
             raise JaxblurIOError(
                 folder, "is not empty; give a new folder, or pass --overwrite to replace an export."
             )
-        if not (folder / PLAN).is_file():
-            raise JaxblurIOError(folder, f"holds no export (no {PLAN}); give a new folder.")
+        try:
+            _earlier_files(folder)
+        except (OSError, ValueError, KeyError, TypeError):
+            raise JaxblurIOError(
+                folder, f"holds no export (no {PLAN} with its files); give a new folder."
+            ) from None
 
 
 def hash_of(graph: Graph, sources: dict[str, str]) -> str:
@@ -129,16 +132,28 @@ def hash_of(graph: Graph, sources: dict[str, str]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
+def _files(folder: pathlib.Path) -> list[pathlib.Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _earlier_files(folder: pathlib.Path) -> set[pathlib.Path]:
+    """Files of the export that a folder holds, but not others that lie beside them."""
+    listed = json.loads((folder / PLAN).read_text(encoding="utf-8"))["files"]
+    return {path for path in _files(folder) if path.relative_to(folder).as_posix() in listed}
+
+
 def _move(temporary: pathlib.Path, folder: pathlib.Path) -> list[pathlib.Path]:
-    """Move complete files into place."""
-    names = sorted(p.relative_to(temporary) for p in temporary.rglob("*") if p.is_file())
+    """Move complete files into place, and remove those of an earlier export."""
+    moves = {folder / path.relative_to(temporary): path for path in _files(temporary)}
     if not folder.exists() or not any(folder.iterdir()):
         os.replace(temporary, folder)
-        return [folder / name for name in names]
-    for name in names:
-        (folder / name).parent.mkdir(exist_ok=True)
-        os.replace(temporary / name, folder / name)
-    return [folder / name for name in names]
+        return list(moves)
+    for stale in _earlier_files(folder) - set(moves):
+        stale.unlink()
+    for place, path in moves.items():
+        place.parent.mkdir(exist_ok=True)
+        os.replace(path, place)
+    return list(moves)
 
 
 def _write_reference(
@@ -185,7 +200,9 @@ buffer `Uniforms` (b0) holds height and width as int, then the parameters as flo
 pass reads are `StructuredBuffer` (t), those that it writes `RWStructuredBuffer` named `write_...`
 (u), both at the number of the binding below. Dispatch `ceil(columns / {group})` by
 `ceil(rows / {group})` groups for the grid of each pass, in their order. Buffers marked *clear* must
-be all 0 before the pass that writes them. Unity: declare each entry point by `#pragma kernel`.""",
+be all 0 before the pass that writes them. Unity: declare each entry point by `#pragma kernel`.
+Direct3D 11.0 has u0 to u7 alone: leave out `: register(...)` there, and its compiler numbers the
+buffers of each pass by itself.""",
     "glsl": """\
 One fragment shader in GLSL ES 3.00 for each pass, in the order of the files. Draw each over all
 texels of its output (a triangle that covers the viewport), into float textures (RGBA32F; WebGL 2
@@ -201,6 +218,16 @@ A pass with a `.vert` draws points: as many vertices as the frame has pixels, as
 depth test "greater or equal": first with `low_bits` false, then with `low_bits` true into the
 output, the first result bound as `high_bits`. It keeps the largest mark at each place.""",
 }
+
+
+_INPUTS = {
+    "path": "Path is the displacement at opening (x, y) and closing (x, y).",
+    "noise_tap": """
+Noise is yours to make, the same in every frame or with an offset of its own. Halton noise, which
+`reference/` has: with h(b) the radical inverse in base b of 64 (row mod 64) + column mod 64,
+`noise_tap` is 2 h(2) - 1, and `noise_tile`, where it is read, (h(3) - 1/2, h(5) - 1/2).""",
+}
+"""What inputs hold that not every filter reads."""
 
 
 def readme_of(graph: Graph, language: Language, sources: list[str], digest: str) -> str:
@@ -251,12 +278,8 @@ def readme_of(graph: Graph, language: Language, sources: list[str], digest: str)
         "Images are row by row from the top, the channels of a pixel together. Color is linear,",
         "alpha premultiplied. Velocity is half of the motion while the shutter is open, pixels, x",
         "to the right and y down. Depth is positive along the view axis; write 1e18 for the sky,",
-        "since shaders may not count on infinity. Inputs must not be NaN."
-        + (
-            " Path is the displacement at opening (x, y) and closing (x, y)."
-            if any(b.name == "path" for b in graph.inputs)
-            else ""
-        ),
+        "since shaders may not count on infinity. Inputs must not be NaN.",
+        *(text for name, text in _INPUTS.items() if any(b.name == name for b in graph.inputs)),
         "",
         "## Passes",
         "",

@@ -32,9 +32,14 @@ LARGEST_SHUTTER = 3.0
 
 
 class PlayForms:
-    """The filters of a page in all their forms, texts that are equal kept once."""
+    """The filters of a page in all their forms, texts that are equal kept once.
 
-    def __init__(self) -> None:
+    Attributes:
+        channels: of color: 3, or 4 with alpha, which some filters weigh by.
+    """
+
+    def __init__(self, channels: int = 3) -> None:
+        self.channels = channels
         self.filters: list[dict[str, Any]] = []
         self.inputs: list[str] = []
         self._texts: dict[str, int] = {}
@@ -43,16 +48,18 @@ class PlayForms:
         """Add a filter.
 
         Args:
-            graphs: the filter with some numbers of samples, for three channels of color.
+            graphs: the filter with some numbers of samples, for the channels of the page.
             start: number of the graph with which the page begins.
 
         Raises:
             NotExpressible: the filter has a form neither in WGSL nor in GLSL.
-            ValueError: a graph is not of three channels.
+            ValueError: a graph is of other channels.
         """
         for graph in graphs:
-            if graph.channels != 3:
-                raise ValueError(f"`graphs` must be of three channels, got {graph.channels}.")
+            if graph.channels != self.channels:
+                raise ValueError(
+                    f"`graphs` must be of {self.channels} channels, got {graph.channels}."
+                )
         variants = [self._variant(graph) for graph in graphs]
         chosen = graphs[start]
         self.filters.append(
@@ -109,8 +116,9 @@ def build_play(
 
     Args:
         forms: the filters; the page begins with the first.
-        planes: color (H, W, 3) linear light as a screen shows it, depth (H, W), velocity (H, W, 2)
-            half-spread in pixels, and path (H, W, 2, 2) and noise if a filter reads them.
+        planes: color (H, W, channels) linear light as a screen shows it, alpha premultiplied,
+            depth (H, W), velocity (H, W, 2) half-spread in pixels, and path (H, W, 2, 2) and noise
+            if a filter reads them.
         truth: (H, W, 3) in the same light, or None.
         title: such as the name of the file.
         shutter: exposure in frames that the velocity is for, to be shown.
@@ -134,10 +142,13 @@ def build_play(
         if name != "color"
     }
     if truth is not None:
-        embedded["truth"] = _packed(truth[..., :3], True)
+        # As many channels as the color; its alpha is not looked at.
+        more = [(0, 0), (0, 0), (0, forms.channels - 3)]
+        embedded["truth"] = _packed(np.pad(truth[..., :3], more), True)
     data = {
         "width": width,
         "height": height,
+        "channels": forms.channels,
         "shutter": shutter,
         "slider": {
             "name": "shutter",
@@ -175,10 +186,12 @@ def _sliders(graph: Graph) -> list[dict[str, Any]]:
 
 
 def _slider(name: str, value: float, info: ParameterInfo) -> dict[str, Any]:
-    low, high = (
-        end if math.isfinite(end) else other
-        for end, other in zip(info.useful, (info.low, info.high), strict=True)
-    )
+    low, high = info.low, info.high
+    if not (math.isfinite(low) and math.isfinite(high)):
+        low, high = (
+            end if math.isfinite(end) else other
+            for end, other in zip(info.useful, (low, high), strict=True)
+        )
     low = low if math.isfinite(low) else value - 10 * abs(value) - 1
     high = high if math.isfinite(high) else max(10 * abs(value), 1.0)
     if not info.allows(low):

@@ -20,6 +20,9 @@ FAR = 1e18
 def reference_planes(graph: Graph) -> dict[str, np.ndarray]:
     """The buffers of the reference frame by name: a turning wheel and a bar pass before a wall.
 
+    Their speeds have four digits: at round ones samples without noise lie exactly between two
+    texels, where rounding decides which of the two a port reads.
+
     Args:
         graph: the filter.
 
@@ -32,19 +35,21 @@ def reference_planes(graph: Graph) -> dict[str, np.ndarray]:
     color = 0.15 + 0.5 * checker + 0.2 * np.sin(column[..., None] / 9 + 2 * tone)
     depth = np.where(row < 9, FAR, 8 - row / 12)
     velocity = np.zeros((HEIGHT, WIDTH, 2))
-    velocity[..., 0] = np.where(row < 9, 0.0, 1.5)
+    velocity[..., 0] = np.where(row < 9, 0.0, 1.4731)
 
     x, y = column - 22, row - 26
     wheel = x * x + y * y < 12**2
     spokes = (np.cos(5 * np.arctan2(y, x))[..., None] + 1) * (0.4 + 0.3 * tone)
     color = np.where(wheel[..., None], spokes, color)
     depth = np.where(wheel, 3.0, depth)
-    velocity = np.where(wheel[..., None], np.stack([-0.35 * y + 3, 0.35 * x], -1), velocity)
+    velocity = np.where(
+        wheel[..., None], np.stack([-0.3517 * y + 3.0413, 0.3517 * x], -1), velocity
+    )
 
     bar = (column > 40) & (column < 47)
     color = np.where(bar[..., None], 1.2 - 0.4 * tone, color)
     depth = np.where(bar, 2.0, depth)
-    velocity = np.where(bar[..., None], [7.0, -3.0], velocity)
+    velocity = np.where(bar[..., None], [7.0319, -2.9873], velocity)
     # Values that half floats hold, so that the EXR file has the same ones.
     color = np.float16(color)
     noise = make_noise("halton", HEIGHT, WIDTH)

@@ -67,6 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     graph = graph_of(
         *(info, values, settings), channels=arguments.channels, has_path=arguments.path
     )
+    if arguments.path and not any(buffer.name == "path" for buffer in graph.inputs):
+        raise CommandError(f"--path: {name} does not read curved paths; leave it out.")
     for file in write_package(graph, arguments.language, folder, overwrite=arguments.overwrite):
         print_line(file)
     return 0

@@ -142,11 +142,19 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     import numpy as np
 
     start_jax(not arguments.no_compile_cache)
-    from jaxblur import exr, metrics, vectors
+    from jaxblur import exr, vectors
 
     info = exr.inspect(arguments.input)
     colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
-    color = np.asarray(metrics.rgb(colors.light(buffers.color)), np.float32)
+    color = _light(buffers.color, colors)
+    alpha = buffers.color[..., 1:] if buffers.color.shape[-1] < 3 else buffers.color[..., 3:]
+    if (alpha != 1).any():
+        color = np.concatenate([color, alpha], axis=-1)
+    if buffers.valid is not None:
+        LOG.warning(
+            "%s: the page takes the %d ignored pixels as black; `jaxblur blur` leaves them out.",
+            *(arguments.input, np.count_nonzero(~buffers.valid)),
+        )
     # What the command line says holds for all filters that have the setting.
     common = [field.name for field in dataclasses.fields(Settings)]
     given = {key: value for key in common if (value := getattr(arguments, key, None))}
@@ -161,13 +169,23 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     truth = None
     if arguments.truth is not None:
         stored, colors = read_truth(arguments, color.shape, None)
-        truth = metrics.rgb(colors.light(stored))
+        truth = _light(stored, colors)
     return page_of(
         *([asked, *others(asked.info, given, arguments.filters)], frame, truth),
         title=arguments.input.name,
         shutter=arguments.shutter,
         counts=arguments.sample_counts,
     )
+
+
+def _light(image: Any, colors: Any) -> Any:
+    """(H, W, 3) float32 light as a screen shows it, without alpha; one channel becomes gray."""
+    import numpy as np
+
+    from jaxblur import metrics
+
+    opaque = image[..., : 3 if image.shape[-1] >= 3 else 1]
+    return np.asarray(metrics.rgb(colors.light(opaque)), np.float32)
 
 
 def others(
@@ -202,8 +220,8 @@ def page_of(
     Args:
         entries: the filters, first the one that it begins with. Of the others those that have no
             form in the languages of a browser are left out, with a warning.
-        frame: NumPy arrays by name: color (H, W, 3) as a screen shows it, depth, velocity, and path
-            where there is one.
+        frame: NumPy arrays by name: color (H, W, 3) as a screen shows it or (H, W, 4) with alpha,
+            depth, velocity, and path where there is one.
         truth: (H, W, 3) likewise, or None.
         title: of the page.
         shutter: exposure in frames.
@@ -222,7 +240,7 @@ def page_of(
     noise = make_noise("halton", height, width)
     planes = {key: np.asarray(values, np.float32) for key, values in frame.items()}
     planes |= {"noise_tap": np.asarray(noise.tap), "noise_tile": np.asarray(noise.tile)}
-    forms = PlayForms()
+    forms = PlayForms(planes["color"].shape[-1])
     for entry in entries:
         try:
             _add(forms, entry, counts, has_path="path" in frame)
@@ -249,7 +267,7 @@ def _add(forms: Any, entry: Entry, counts: Sequence[int], has_path: bool) -> Non
     # If there are none, the graph says why.
     for samples in counts or [settings.samples]:
         changed = dataclasses.replace(settings, samples=samples)
-        graphs.append(graph_of(info, values, changed, channels=3, has_path=has_path))
+        graphs.append(graph_of(info, values, changed, channels=forms.channels, has_path=has_path))
     forms.add(graphs, counts.index(settings.samples) if settings.samples in counts else 0)
 
 

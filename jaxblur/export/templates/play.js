@@ -214,7 +214,7 @@ async function openGpu() {
   const reasons = [];
   for (const kind of [Webgpu, Webgl]) {
     try {
-      return { gpu: await kind.open(data.width, data.height, 3, element("canvas")), reasons };
+      return { gpu: await kind.open(data.width, data.height, data.channels, element("canvas")), reasons };
     } catch (error) {
       reasons.push(error.message);
     }

@@ -11,7 +11,7 @@ fn display(light: vec3f) -> vec3f {
 `;
 
 // Squared differences of display values, summed over every so many pixels.
-const WEBGPU_ERRORS = `${WEBGPU_DISPLAY}
+const WEBGPU_ERRORS = (channels) => `${WEBGPU_DISPLAY}
 @group(0) @binding(0) var<storage, read> image: array<f32>;
 @group(0) @binding(1) var<storage, read> truth: array<f32>;
 @group(0) @binding(2) var<storage, read_write> sums: array<f32>;
@@ -19,7 +19,7 @@ const WEBGPU_ERRORS = `${WEBGPU_DISPLAY}
 @compute @workgroup_size(64)
 fn add_up(@builtin(global_invocation_id) id: vec3u) {
   var sum = 0.0;
-  for (var k = 3u * id.x; k < arrayLength(&image); k += 3u * ${WEBGPU_SUMS}u) {
+  for (var k = ${channels}u * id.x; k < arrayLength(&image); k += ${channels}u * ${WEBGPU_SUMS}u) {
     let a = display(vec3f(image[k], image[k + 1u], image[k + 2u]));
     let b = display(vec3f(truth[k], truth[k + 1u], truth[k + 2u]));
     sum += dot(a - b, a - b);
@@ -28,7 +28,7 @@ fn add_up(@builtin(global_invocation_id) id: vec3u) {
 }
 `;
 
-const WEBGPU_SHOW = `${WEBGPU_DISPLAY}
+const WEBGPU_SHOW = (channels) => `${WEBGPU_DISPLAY}
 struct View { gain: f32, edge: f32, errors: f32, width: f32 }
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<storage, read> blurred: array<f32>;
@@ -42,7 +42,7 @@ fn corner(@builtin(vertex_index) number: u32) -> @builtin(position) vec4f {
 
 @fragment
 fn shade(@builtin(position) at: vec4f) -> @location(0) vec4f {
-  let k = 3u * (u32(at.y) * u32(view.width) + u32(at.x));
+  let k = ${channels}u * (u32(at.y) * u32(view.width) + u32(at.x));
   if (at.x >= view.edge) {
     return vec4f(display(view.gain * vec3f(right[k], right[k + 1u], right[k + 2u])), 1.0);
   }
@@ -76,12 +76,12 @@ class Webgpu {
       gpu.ticks = device.createBuffer({ size: 16, usage: GPUBufferUsage.QUERY_RESOLVE | GPUBufferUsage.COPY_SRC });
     }
     gpu.summing = await gpu._checked(() =>
-      device.createComputePipelineAsync({ layout: "auto", compute: { module: device.createShaderModule({ code: WEBGPU_ERRORS }) } }));
+      device.createComputePipelineAsync({ layout: "auto", compute: { module: device.createShaderModule({ code: WEBGPU_ERRORS(channels) }) } }));
     if (canvas) {
       const format = navigator.gpu.getPreferredCanvasFormat();
       gpu.context = canvas.getContext("webgpu");
       gpu.context.configure({ device, format, alphaMode: "opaque" });
-      const module = device.createShaderModule({ code: WEBGPU_SHOW });
+      const module = device.createShaderModule({ code: WEBGPU_SHOW(channels) });
       gpu.showing = await gpu._checked(() =>
         device.createRenderPipelineAsync({ layout: "auto", vertex: { module }, fragment: { module, targets: [{ format }] } }));
       gpu.view = device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
