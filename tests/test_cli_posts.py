@@ -194,6 +194,20 @@ def test_a_sequence(tmp_path):
     assert notes(tmp_path / "b.0002.exr")["jaxblur:then"] == "mlaa"
 
 
+def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path):
+    for number in (1, 2, 3):
+        write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
+    damaged = tmp_path / "in.0002.exr"
+    damaged.write_bytes(damaged.read_bytes()[:-200])
+    given = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa")
+    outcome = run("post", *given, "--truth", tmp_path / "in.####.exr")
+    assert outcome.status == 1
+    assert "frame 2: " in outcome.err and str(damaged) in outcome.err
+    assert "1 of 3 frames are not done." in outcome.err
+    assert [path.name for path in sorted(tmp_path.glob("out*"))] == ["out.0001.exr", "out.0003.exr"]
+    assert [row[0] for row in scored(outcome.out)[0]] == ["1", "3", "mean", "mean"]
+
+
 def test_the_hint_is_that_of_the_filter(source, tmp_path):
     blurred, out = tmp_path / "blurred.exr", tmp_path / "out.exr"
     options = ("--preset", "jaxblur", "--filter", "guertin2014", "--radius", "8", "--seed", "3")

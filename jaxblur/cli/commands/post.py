@@ -17,10 +17,12 @@ from ..arguments import (
     check_outputs,
     file_path,
     frame_numbers,
+    in_option_names,
 )
 from ..colors import add_color_options, check_colors, shown_colors
 from ..compute import start_jax
 from ..console import print_line, print_table, track
+from ..errors import FAILED, is_foreseeable, message_of
 from ..loading import shown_truth
 from ..outputs import add_output_option, check_output, files_of
 from ..progress import remarks_once
@@ -87,17 +89,34 @@ def run(arguments: argparse.Namespace) -> int:
     start_jax(not arguments.no_compile_cache)
     numbers = list(range(len(jobs)))
     with remarks_once():
-        scored = [_run_one(jobs[k]) for k in (track(numbers, "post") if len(jobs) > 1 else numbers)]
-    _print_scores(",".join(arguments.posts), jobs, scored)
-    return 0
+        attempts = [_attempt(jobs[k]) for k in (track(numbers, "post") if jobs[1:] else numbers)]
+    done = [(job, scored) for job, scored in zip(jobs, attempts, strict=True) if scored]
+    _print_scores(",".join(arguments.posts), done)
+    if failed := len(jobs) - len(done):
+        LOG.error("%d of %d frames are not done.", failed, len(jobs))
+    return FAILED if failed else 0
 
 
-def _print_scores(
-    method: str, jobs: Sequence["_Job"], scored: Sequence[Sequence[tuple[str | None, Any]]]
-) -> None:
+_Scored = list[tuple[str | None, dict[str, Any]]]
+"""The name of each view of a picture, None if it has none, and its scores."""
+
+
+def _attempt(job: "_Job") -> _Scored | None:
+    """Do a picture; a frame of a sequence that cannot be done is reported and gives None."""
+    try:
+        return _run_one(job)
+    except Exception as error:
+        if job.frame is None or not is_foreseeable(error):
+            raise
+        reason = in_option_names(message_of(error), vars(job.arguments))
+        LOG.error("frame %d: %s", job.frame, reason)
+        return None
+
+
+def _print_scores(method: str, done: Sequence[tuple["_Job", _Scored]]) -> None:
     """Print the scores of all pictures that have a truth."""
     rows, records = [], []
-    for job, of_views in zip(jobs, scored, strict=True):
+    for job, of_views in done:
         names, each = zip(*of_views, strict=True)
         if job.frame is None:
             rows += view_rows(names, each, method)
@@ -212,8 +231,8 @@ def _read(arguments: argparse.Namespace) -> _View:
     return _View(arguments, color, channels, colors, shown_truth(arguments, color.shape))
 
 
-def _run_one(job: _Job) -> list[tuple[str | None, dict[str, Any]]]:
-    """Do a picture; returns the name of each of its views, if it has any, and its scores."""
+def _run_one(job: _Job) -> _Scored:
+    """Do a picture."""
     import numpy as np
 
     from jaxblur import exr
