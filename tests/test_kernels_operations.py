@@ -232,6 +232,32 @@ def test_a_condition_without_an_image_to_keep_is_rejected():
         each_pixel(program, SIZE, Planes(plane, plane))
 
 
+NO_OUTCOMES = {
+    "must return an Outcome, .* got tuple": lambda at, images, _, __: images.a.here(),
+    "must return an Outcome, .* got NoneType": lambda at, images, _, __: None,
+    "must be a tuple of scalars, .* write": lambda at, images, _, __: Outcome(images.a.here()[0]),
+    "must be a condition, .* type float32": lambda at, images, _, __: Outcome(
+        images.a.here(), where=images.a.here()[0]
+    ),
+    "`kept` must have at most as many channels .* 1, got 2": lambda at, images, _, __: Outcome(
+        images.a.here(), where=at.row > 1
+    ),
+    "`count` must be a whole number that is known": lambda at, images, _, __: Outcome(
+        (sum_over(images.a.here()[0], lambda i: 1.0 * i),)
+    ),
+    "its operation debug_print has an effect": lambda at, images, _, __: Outcome(
+        (sum_over(3, lambda i: (jax.debug.print("{}", i), 1.0 * i)[1]),)
+    ),
+}
+
+
+@pytest.mark.parametrize("match", NO_OUTCOMES)
+def test_what_is_no_outcome_is_rejected(match):
+    plane = Image(jnp.ones((*SIZE, 1)))
+    with pytest.raises(ValueError, match=match):
+        each_pixel(NO_OUTCOMES[match], SIZE, Planes(plane, plane), kept=jnp.ones((*SIZE, 2)))
+
+
 def test_a_whole_number_of_the_pixel_does_not_cross_into_the_sum():
     def program(at, images, _, __):
         place = images.a.here()[0].astype(jnp.int32)

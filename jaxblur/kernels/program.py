@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.typing import ArrayLike
@@ -171,7 +172,15 @@ def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = Non
 
     Returns:
         The sums, in the structure of the terms.
+
+    Raises:
+        ValueError: the count is no number that is known while the program is traced.
     """
+    if not isinstance(count, int | np.integer):
+        raise ValueError(
+            "`count` must be a whole number that is known while the program is traced, such as "
+            f"settings.samples, got {count!r}; for a number of each pixel pass it as `limit`."
+        )
     structure: list[Any] = []
 
     def flat(index: Array) -> list[Array]:
