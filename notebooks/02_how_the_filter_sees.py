@@ -63,9 +63,11 @@ figure
 
 # %%
 speed = np.linalg.norm(np.asarray(frame.velocity), axis=-1)
-row = 56
-moving = np.flatnonzero(speed[row] > 10)
-places = [(row, int(moving[len(moving) // 2])), (row, int(moving.min()) - 4)]
+fast = speed > speed.max() / 2
+rows = np.flatnonzero(fast.any(axis=1))
+row = int(rows[len(rows) // 2])
+moving = np.flatnonzero(fast[row])
+places = [(row, int(moving[len(moving) // 2])), (row, max(int(moving.min()) - 4, 0))]
 
 figure = show.new_figure(11, 4.6)
 for (row, column), axes in zip(places, figure.subplots(1, 2), strict=True):

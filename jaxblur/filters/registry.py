@@ -132,7 +132,7 @@ class FilterInfo:
 
             if jax.tree_util.all_leaves([self.parameters()]):
                 raise ValueError(
-                    f"`parameters` of {self.name} must be known to jax; put "
+                    f"`FilterInfo.parameters` of {self.name} must be known to jax; put "
                     f"@jax.tree_util.register_dataclass above {self.parameters.__name__}."
                 )
         return cast("Filter", checking(function, self))
@@ -422,7 +422,7 @@ def _load_plugins() -> None:
             source = point.dist.name if point.dist else "an unknown package"
             warnings.warn(
                 f"the filter plug-in {point.name!r} of {source} ({point.value}) cannot be loaded: "
-                f"{type(error).__name__}: {error}; update or uninstall {source}.",
+                f"{type(error).__name__}: {str(error).rstrip('.')}; update or uninstall {source}.",
                 stacklevel=2,
             )
 
