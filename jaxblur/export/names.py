@@ -56,7 +56,7 @@ def origin_of(equation: Any) -> Origin:
 
 
 def place_of(equation: Any) -> str:
-    """File and line of the statement that an equation is part of, ``FILE:LINE``; empty if unknown."""
+    """``FILE:LINE`` of the statement that an equation is part of; empty if unknown."""
     statement = origin_of(equation).statement
     return f"{statement[0]}:{statement[1]}" if statement else ""
 
