@@ -19,7 +19,7 @@ from .inlining import inlined
 from .keys import Keyed, key_of, key_of_jaxpr
 from .places import results_of
 from .planes import evaluate
-from .program import At, Image, Outcome, marks_primitive, sum_primitive
+from .program import At, Image, Outcome, check_outcome, marks_primitive, sum_primitive
 from .reads import place_primitive
 from .stages import Kind, Place, Prepared, Sample, Stages, table_shape
 
@@ -80,9 +80,8 @@ def trace(program: Program, images: Any, parameters: Any, settings: Any) -> Trac
         The trace.
 
     Raises:
-        UnsupportedProgram: it has two sums, returns no `Outcome`, or uses a value where the engine
-            cannot carry it.
-        ValueError: an input is neither an image nor a scalar.
+        UnsupportedProgram: it has two sums, or uses a value where the engine cannot carry it.
+        ValueError: an input is neither an image nor a scalar, or it returns no `Outcome`.
     """
     leaves, structure = flatten(images, parameters)
     kinds = tuple(_kind(leaf) for leaf in leaves)
@@ -109,7 +108,7 @@ def _trace(
         leaves = [_leaf(kind, rest) for kind in kinds]
         images, parameters = jax.tree.unflatten(structure, leaves)
         outcome = program(at, images, parameters, settings)
-        _check_outcome(outcome, name)
+        check_outcome(outcome, name)
         where = jnp.ones((), bool) if outcome.where is None else outcome.where
         shape[:] = [len(outcome.values), outcome.otherwise is not None]
         keeps[:] = [outcome.where is not None and outcome.otherwise is None]
@@ -126,25 +125,6 @@ def _trace(
     cut = _Cut(jaxpr, kinds, *shape)
     results = tuple(variable.aval.dtype.name for variable in cut.values)
     return Traced(name, jaxpr.jaxpr, kinds, cut.local, cut.tables, cut.stages(), results, keeps[0])
-
-
-def _check_outcome(outcome: object, name: str) -> None:
-    """Reject what a program must not return."""
-    if not isinstance(outcome, Outcome):
-        raise UnsupportedProgram(
-            f"`{name}` must return an Outcome, such as Outcome(values, where=...), got "
-            f"{type(outcome).__name__}."
-        )
-    if not isinstance(outcome.values, tuple | list):
-        raise UnsupportedProgram(
-            f"`Outcome.values` of `{name}` must be a tuple of scalars, one a channel, got "
-            f"{type(outcome.values).__name__}; for a single channel write (value,)."
-        )
-    if outcome.where is not None and jnp.result_type(outcome.where) != jnp.bool_:
-        raise UnsupportedProgram(
-            f"`Outcome.where` of `{name}` must be a condition, such as speed > 0.5, got a value of "
-            f"type {jnp.result_type(outcome.where)}."
-        )
 
 
 def _shapes(kind: Kind) -> list[jax.ShapeDtypeStruct]:
