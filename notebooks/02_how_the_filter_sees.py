@@ -10,8 +10,9 @@
 # # How the filter sees a frame
 #
 # For each pixel, `guertin2014` chooses the lines along which it gathers color, and the weight of each
-# color on them. This notebook draws the lines and the weights with the functions that the filter
-# itself runs.
+# color on them. It gathers by *taps*: a tap reads one pixel of the sharp frame, its *texel*, at a place
+# on the line. This notebook draws the lines and the weights with the functions that the filter itself
+# runs.
 #
 # Source: Guertin, McGuire, Nowrouzezahrai 2014, *A Fast and Stable Feature-Aware Motion Blur
 # Filter*.
@@ -62,9 +63,11 @@ figure
 
 # %%
 speed = np.linalg.norm(np.asarray(frame.velocity), axis=-1)
-row = 56
-moving = np.flatnonzero(speed[row] > 10)
-places = [(row, int(moving[len(moving) // 2])), (row, int(moving.min()) - 4)]
+fast = speed > speed.max() / 2
+rows = np.flatnonzero(fast.any(axis=1))
+row = int(rows[len(rows) // 2])
+moving = np.flatnonzero(fast[row])
+places = [(row, int(moving[len(moving) // 2])), (row, max(int(moving.min()) - 4, 0))]
 
 figure = show.new_figure(11, 4.6)
 for (row, column), axes in zip(places, figure.subplots(1, 2), strict=True):
@@ -93,9 +96,11 @@ print(
 # - **gamma** is the range of speeds, in pixels, over which the center direction turns from the
 #   perpendicular to the pixel's own velocity. It only affects slow pixels, of which this frame has few.
 # - **tau** is the distance, in tiles, within which a pixel may use the velocity of another tile. With 0
-#   the tiles are visible, with 1 noise hides them.
-# - **phi** scales the jitter of the taps. With 0 each tap is visible as a ghost; larger values turn the
-#   ghosts into noise.
+#   tiles whose velocities differ are visible as blocks, with 1 noise hides them. Here neighboring tiles
+#   move nearly alike, and little changes.
+# - **phi** scales the jitter of the taps, a random shift along the line. With 0 there is no such noise,
+#   but where taps are few each leaves a ghost (`samples=7` shows them); larger values turn ghosts into
+#   noise.
 
 
 # %%

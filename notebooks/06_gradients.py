@@ -48,13 +48,15 @@ def error(image, truth):
 
 # %% [markdown]
 # `Frame.from_motion` takes one source of motion: a path (the displacement at shutter opening and at
-# closing), a velocity, or the twist of a camera, and its derivative reaches every filter.
+# closing), a velocity, or the twist of a camera (its rotation and its translation during the exposure),
+# and its derivative reaches every filter.
 #
 # ## Gradient images
 #
 # How would the error against the truth change if the motion or the depth of one pixel changed? Only
 # the cube moves. At its silhouette the derivative includes what happens when it covers more or less of
-# the crates.
+# the crates. In the left picture hue shows the direction in which the velocity of the pixel should
+# change, and saturation how much it matters; a single pixel says little, their sum moves the cube.
 
 # %%
 path = jnp.stack([-frame.velocity, frame.velocity], axis=2)
@@ -79,8 +81,10 @@ figure
 # ## An object: two numbers
 #
 # The cube's velocity is unknown; where the cube is, we take from the file. The descent begins with one
-# component 40 % too large and the other 40 % too small. One velocity for the whole cube is a simplification:
-# it turns a little while it flies.
+# component 40 % too large and the other 40 % too small. The curve shows the error of the flow (the motion
+# of each pixel), against the 0.3 pixels that experiment 014 asks for. One velocity for the whole cube is
+# a simplification: it turns a little while it flies, so the descent passes the median velocity and ends
+# where the picture fits best.
 
 
 # %%

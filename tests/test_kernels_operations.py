@@ -43,6 +43,10 @@ def one(t, index):
     return t.read_texel(index)[0]
 
 
+def whole(a):
+    return (a * 3).astype(jnp.int32)
+
+
 def read_rows(i, a, t, place, width):
     """A sum over the channels of a pixel, in which they count differently."""
     row = t.read_texel((place * 7 + i) % (t.height * t.width))
@@ -68,6 +72,17 @@ OPERATIONS = {
         jnp.where((n := jnp.log(-jnp.exp(a))) > a, n, a * 1.0) + i
     ),
     "integers": lambda i, a, t, p: jnp.abs(jnp.clip((a * 3).astype(jnp.int32), -2, 4) - i) * a,
+    "whole divisions": lambda i, a, t, p: (
+        (whole(a) // 2 + p // 4 - i // 2 + jnp.sign(whole(a))) * a
+    ),
+    "extremes of conditions": lambda i, a, t, p: (
+        jnp.maximum(a > 0, i > 1) * a + 2 * jnp.minimum(a > 0, a < 1) + jnp.maximum(i > 0, i > 1)
+    ),
+    "orders of conditions": lambda i, a, t, p: (
+        ((a > 0) < (i > 0)) + 2 * ((a > 0) > (a > 1)) + 4 * ((i > 0) <= (i > 1))
+    ),
+    "exclusive or": lambda i, a, t, p: jnp.where((a > 0) ^ (i > 0), a, 0) + (whole(a) ^ i),
+    "finite": lambda i, a, t, p: jnp.where(jnp.isfinite(jnp.log(a) / (a < 1)), a, i),
     "reads": lambda i, a, t, p: one(t, (p * 7 + i) % (5 * 19)) * a,
     "reads at one place": lambda i, a, t, p: one(t, i * 3) * a,
     "floors": lambda i, a, t, p: (jnp.floor(a * (i + 1)).astype(jnp.int32) + jnp.floor(a)) * a,
@@ -215,6 +230,32 @@ def test_a_condition_without_an_image_to_keep_is_rejected():
     plane = Image(jnp.ones((*SIZE, 1)))
     with pytest.raises(ValueError, match="`kept` must be an image: `program` says `where`"):
         each_pixel(program, SIZE, Planes(plane, plane))
+
+
+NO_OUTCOMES = {
+    "must return an Outcome, .* got tuple": lambda at, images, _, __: images.a.here(),
+    "must return an Outcome, .* got NoneType": lambda at, images, _, __: None,
+    "must be a tuple of scalars, .* write": lambda at, images, _, __: Outcome(images.a.here()[0]),
+    "must be a condition, .* type float32": lambda at, images, _, __: Outcome(
+        images.a.here(), where=images.a.here()[0]
+    ),
+    "`kept` must have at most as many channels .* 1, got 2": lambda at, images, _, __: Outcome(
+        images.a.here(), where=at.row > 1
+    ),
+    "`count` must be a whole number that is known": lambda at, images, _, __: Outcome(
+        (sum_over(images.a.here()[0], lambda i: 1.0 * i),)
+    ),
+    "its operation debug_print has an effect": lambda at, images, _, __: Outcome(
+        (sum_over(3, lambda i: (jax.debug.print("{}", i), 1.0 * i)[1]),)
+    ),
+}
+
+
+@pytest.mark.parametrize("match", NO_OUTCOMES)
+def test_what_is_no_outcome_is_rejected(match):
+    plane = Image(jnp.ones((*SIZE, 1)))
+    with pytest.raises(ValueError, match=match):
+        each_pixel(NO_OUTCOMES[match], SIZE, Planes(plane, plane), kept=jnp.ones((*SIZE, 2)))
 
 
 def test_a_whole_number_of_the_pixel_does_not_cross_into_the_sum():

@@ -221,10 +221,10 @@ def test_filters_of_ones_own_run_everywhere_but_where_they_say_no(brighten):
 @pytest.mark.parametrize(
     ("text", "name", "match"),
     [
-        (None, "mine", "there is no such file"),
-        ("", "mine", "registers no filter; it must call jaxblur.register"),
-        ("1 / 0", "mine", "cannot be imported: ZeroDivisionError: division by zero"),
-        ("x = = 1", "mine", "cannot be imported: SyntaxError"),
+        (None, "mine", ": there is no such file"),
+        ("", "mine", ": registers no filter; it must call jaxblur.register"),
+        ("1 / 0", "mine", ":1: cannot be imported: ZeroDivisionError: division by zero"),
+        ("x = = 1", "mine", ": cannot be imported: SyntaxError"),
     ],
 )
 def test_files_that_register_nothing_are_rejected(tmp_path, text, name, match):
@@ -232,10 +232,18 @@ def test_files_that_register_nothing_are_rejected(tmp_path, text, name, match):
     if text is not None:
         path.write_text(text, encoding="utf-8")
     before = names()
-    with pytest.raises(ValueError, match=f"{path}: {match}"):
+    with pytest.raises(ValueError, match=f"{path}{match}"):
         load_filter(f"{path}:{name}")
     assert names() == before
-    assert match.split(":")[0] in refused("blur", CAR, "-o", "x.exr", "--filter", f"{path}:{name}")
+    message = refused("blur", CAR, "-o", "x.exr", "--filter", f"{path}:{name}")
+    assert match.rpartition("Error")[0] in message
+
+
+def test_an_error_at_the_import_names_its_line(tmp_path):
+    path = tmp_path / "filter.py"
+    path.write_text("import jaxblur\n\nboost = jaxblur.parameter(1.0)\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=f"{path}:3: cannot be imported: TypeError"):
+        load_filter(f"{path}:mine")
 
 
 def test_another_name_than_the_file_registers_is_rejected(brighten):
@@ -257,6 +265,8 @@ def test_another_name_than_the_file_registers_is_rejected(brighten):
         ("frame.color + frame.depth", "ncompatible shapes"),
         ("if frame.depth[0, 0] > 1: pass", "take jnp.where in place of `if`"),
         ("numpy.asarray(frame.depth)", "take jax.numpy in place of numpy; -v shows"),
+        ("float(frame.depth[0, 0])", "take jax.numpy in place of math"),
+        ("range(frame.depth[0, 0].astype(int))", "take jax.lax.fori_loop in place of range()"),
     ],
 )
 def test_a_fault_in_a_filter_of_ones_own_is_one_line_that_names_its_place(
@@ -310,6 +320,14 @@ def test_help_loads_no_jax():
     assert found.stdout.split() == ["False"]
 
 
+def test_a_function_without_the_arguments_of_every_filter_is_rejected():
+    info = FilterInfo(
+        name="mine", summary="", function=lambda frame, parameters, *, settings: frame.color
+    )
+    with pytest.raises(ValueError, match=r"must take noise by name, .* settings=jaxblur.Settings"):
+        register(info)
+
+
 def test_plugins_are_found_and_broken_ones_are_named(tmp_path):
     info = tmp_path / "blurs-1.0.dist-info"
     info.mkdir()
@@ -319,12 +337,13 @@ def test_plugins_are_found_and_broken_ones_are_named(tmp_path):
     )
     (tmp_path / "blurs.py").write_text(
         "from jaxblur.filters.registry import FilterInfo\n"
-        "INFO = FilterInfo(name='mine', summary='', function=print)\n"
+        "def mine(frame, parameters, *, settings=None, noise=None):\n    return frame.color\n"
+        "INFO = FilterInfo(name='mine', summary='', function=mine)\n"
     )
     code = (
         "import sys\nfrom jaxblur.filters.registry import filter_info, names\n"
         "filter_info('layered')\nprint('blurs' in sys.modules)\n"
-        "print(filter_info('mine').function is print, 'jax' in sys.modules)\nprint(*names())"
+        "print(filter_info('mine').function.__name__, 'jax' in sys.modules)\nprint(*names())"
     )
     path = os.pathsep.join([str(tmp_path), *sys.path])
     found = subprocess.run(
@@ -336,7 +355,7 @@ def test_plugins_are_found_and_broken_ones_are_named(tmp_path):
     )
     assert found.stdout.splitlines() == [
         "False",
-        "True False",
+        "mine False",
         "guertin2014 mcguire2012 pixel_velocity layered mine",
     ]
     assert found.stderr.count("the filter plug-in 'broken' of blurs (blurs_broken) cannot be") == 1

@@ -1,6 +1,10 @@
 """The filter of the page "Write your own filter" works everywhere, from one file."""
 
+import os
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import jax
@@ -38,6 +42,24 @@ def info(file):
 def test_the_program_is_forty_lines():
     body = CODE[CODE.index("@jax.tree_util") : CODE.index("jaxblur.register(")]
     assert len([line for line in body.splitlines() if line.strip()]) <= 40
+
+
+def test_the_package_of_the_page_makes_the_filter_known(tmp_path):
+    (toml,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    project = tomllib.loads(toml)["project"]
+    ((entry, module),) = project["entry-points"]["jaxblur.filters"].items()
+    installed = tmp_path / f"{project['name']}-{project['version']}.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\n")
+    (installed / "entry_points.txt").write_text(f"[jaxblur.filters]\n{entry} = {module}\n")
+    (tmp_path / f"{module}.py").write_text(CODE, encoding="utf-8")
+    code = f"import jaxblur; print(jaxblur.FILTERS[{entry!r}].__module__)"
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    environment = os.environ | {"PYTHONPATH": path}
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert entry == NAME and found.stdout.strip() == module
 
 
 def plain(frame, boost, samples):

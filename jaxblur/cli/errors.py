@@ -15,6 +15,10 @@ HINTS = {
     "in place of `if`, `and`, `or`, `not`",
     "TracerArrayConversionError": "values are not known while a filter is compiled: take jax.numpy "
     "in place of numpy",
+    "ConcretizationTypeError": "values are not known while a filter is compiled: take jax.numpy in "
+    "place of math, int() and float()",
+    "TracerIntegerConversionError": "values are not known while a filter is compiled: take "
+    "jax.lax.fori_loop in place of range(), jnp.where in place of an index of a list",
 }
 """What to do about errors of JAX in a filter of one's own, by the name of their class."""
 

@@ -146,7 +146,10 @@ class Dialect:
             NotExpressible: it has none.
         """
         if name not in self.functions:
-            raise NotExpressible(f"{self.name}: the operation {name} has no form.")
+            raise NotExpressible(
+                f"{self.name}: the operation {name} has no form; write it with others, such as "
+                "comparisons and jnp.where."
+            )
         return Value(f"{self.functions[name]}({', '.join(v.code for v in inputs)})", dtype)
 
 

@@ -55,6 +55,12 @@ def origin_of(equation: Any) -> Origin:
     return _of_frames(tuple((f.file_name, f.line_num, f.function_name) for f in frames[:6]))
 
 
+def place_of(equation: Any) -> str:
+    """``FILE:LINE`` of the statement that an equation is part of; empty if unknown."""
+    statement = origin_of(equation).statement
+    return f"{statement[0]}:{statement[1]}" if statement else ""
+
+
 @functools.cache
 def _is_of_author(file: str) -> bool:
     """Whether a file may hold the program, rather than what runs it."""

@@ -13,7 +13,7 @@ from ..kernels.inlining import opened
 from ..kernels.program import marks_primitive, sum_primitive
 from ..kernels.reads import place_primitive
 from .expressions import ATOM, Dialect, NotExpressible, Value
-from .names import Names, Origin, origin_of
+from .names import Names, Origin, origin_of, place_of
 
 WIDTH = 96
 """Longest line, as far as lines can be broken."""
@@ -226,7 +226,13 @@ class Printer:
         value = folded(equation, inputs, self.dialect)
         if value is None:
             dtype = equation.outvars[0].aval.dtype
-            value = self.dialect.operation(name, equation.params, inputs, dtype)
+            try:
+                value = self.dialect.operation(name, equation.params, inputs, dtype)
+            except NotExpressible as error:
+                place = place_of(equation)
+                raise NotExpressible(
+                    f"{error} It is at {place}." if place else str(error)
+                ) from None
         self._keep(equation, equation.outvars[0], value)
 
     def _keep(self, equation: Any, variable: Any, value: Value) -> None:

@@ -15,9 +15,11 @@ import functools
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import pathlib
 import re
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, cast, runtime_checkable
@@ -130,7 +132,7 @@ class FilterInfo:
 
             if jax.tree_util.all_leaves([self.parameters()]):
                 raise ValueError(
-                    f"`parameters` of {self.name} must be known to jax; put "
+                    f"`FilterInfo.parameters` of {self.name} must be known to jax; put "
                     f"@jax.tree_util.register_dataclass above {self.parameters.__name__}."
                 )
         return cast("Filter", checking(function, self))
@@ -229,7 +231,8 @@ def register(info: FilterInfo) -> FilterInfo:
         The same object.
 
     Raises:
-        ValueError: another filter has the name, or the record is wrong.
+        ValueError: another filter has the name, the record is wrong, or the function lacks an
+            argument that every filter has.
     """
     if not isinstance(info, FilterInfo):
         raise ValueError(f"`info` must be a jaxblur.FilterInfo, got {info!r}.")
@@ -246,6 +249,8 @@ def register(info: FilterInfo) -> FilterInfo:
         value = getattr(info, name)
         if not (callable(value) or _is_reference(value) or (value is None and name == "outcomes")):
             raise ValueError(f"`{name}` must be a function or 'module:attribute', got {value!r}.")
+    if callable(info.function):
+        _check_signature(info.function)
     if not isinstance(info.settings, Settings):
         raise ValueError(f"`settings` must be a jaxblur.Settings, got {info.settings!r}.")
     if info.check is not None:
@@ -253,6 +258,18 @@ def register(info: FilterInfo) -> FilterInfo:
     infos_of(info.parameters)
     _registered[info.name] = info
     return info
+
+
+def _check_signature(function: Callable[..., object]) -> None:
+    """Reject a filter that lacks an argument with which every filter is called."""
+    arguments = inspect.signature(function).parameters
+    takes_more = any(argument.kind is argument.VAR_KEYWORD for argument in arguments.values())
+    lacking = [name for name in ("settings", "noise") if name not in arguments]
+    if lacking and not takes_more:
+        raise ValueError(
+            f"`function` must take {' and '.join(lacking)} by name, as every filter does: "
+            "(frame, parameters, *, settings=jaxblur.Settings(), noise=None)."
+        )
 
 
 def unregister(name: str) -> None:
@@ -370,9 +387,18 @@ def _import_file(file: pathlib.Path, module: str, path: str) -> None:
         del sys.modules[module]
         for name in _registered.keys() - before.keys():
             del _registered[name]
-        raise ValueError(f"{path}: cannot be imported: {type(error).__name__}: {error}") from error
+        raise ValueError(
+            f"{_last_place(error, file, path)}: cannot be imported: {type(error).__name__}: {error}"
+        ) from error
     new = {name: info for name, info in _registered.items() if name not in before}
     setattr(loaded, _REGISTERED_BY_FILE, new)
+
+
+def _last_place(error: Exception, file: pathlib.Path, path: str) -> str:
+    """The path of a file, with the line where an error arose if it did in a function of it."""
+    frames = traceback.walk_tb(error.__traceback__)
+    lines = [line for frame, line in frames if frame.f_code.co_filename == str(file)]
+    return f"{path}:{lines[-1]}" if lines else path
 
 
 def _with_plugins() -> dict[str, FilterInfo]:
@@ -396,7 +422,7 @@ def _load_plugins() -> None:
             source = point.dist.name if point.dist else "an unknown package"
             warnings.warn(
                 f"the filter plug-in {point.name!r} of {source} ({point.value}) cannot be loaded: "
-                f"{type(error).__name__}: {error}; update or uninstall {source}.",
+                f"{type(error).__name__}: {str(error).rstrip('.')}; update or uninstall {source}.",
                 stacklevel=2,
             )
 

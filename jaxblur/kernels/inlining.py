@@ -57,6 +57,9 @@ def inlined(closed: Any) -> Any:
     Returns:
         A closed jaxpr of the equations that its results depend on, inside loops too. Constants are
         in the order in which equations read them.
+
+    Raises:
+        ValueError: an equation has no result, as that of ``jax.debug.print``.
     """
     jaxpr = closed.jaxpr
     constants = dict(zip(jaxpr.constvars, closed.consts, strict=True))
@@ -90,6 +93,11 @@ def _append(
         return atom if isinstance(atom, core.Literal) else atoms[atom]
 
     for equation in jaxpr.eqns:
+        if not equation.outvars:
+            raise ValueError(
+                f"a program must only compute values, but its operation {equation.primitive} has "
+                "an effect; to see a value (jax.debug.print), return it as a channel."
+            )
         inputs = [look(atom) for atom in equation.invars]
         # Lines inside would be those of whoever was the first to call it: traces are kept.
         line = caller or equation

@@ -144,8 +144,9 @@ def each_pixel(
         (H, W, R) values. Differentiable in images, parameters and ``kept``, forward and reverse.
 
     Raises:
-        ValueError: the program cannot be traced, an image has another size, or the backend is
-            ``native`` and there is no compiler or no native form.
+        ValueError: the program cannot be traced, an image has another size, ``kept`` has more
+            channels than the program has values, or the backend is ``native`` and there is no
+            compiler or no native form.
     """
     traced = trace(program, images, parameters, settings)
     if traced.keeps and kept is None:
@@ -155,6 +156,11 @@ def each_pixel(
         )
     names = _names(images, parameters)
     channels = 0 if kept is None else kept.shape[-1]
+    if channels > len(traced.results):
+        raise ValueError(
+            f"`kept` must have at most as many channels as `{traced.name}` has values, "
+            f"{len(traced.results)}, got {channels}; return one value a channel."
+        )
     run = Pass("pixel", traced, channels, program=program, names=names)
     _record(run)
     if _as_equations.value:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.typing import ArrayLike
@@ -152,6 +153,33 @@ class Outcome(NamedTuple):
     otherwise: tuple[Array, ...] | None = None
 
 
+def check_outcome(outcome: object, name: str) -> None:
+    """Reject what a program must not return.
+
+    Args:
+        outcome: what it returned.
+        name: of the program.
+
+    Raises:
+        ValueError: it is no `Outcome`, its values are no tuple, or ``where`` is no condition.
+    """
+    if not isinstance(outcome, Outcome):
+        raise ValueError(
+            f"`{name}` must return an Outcome, such as Outcome(values, where=...), got "
+            f"{type(outcome).__name__}."
+        )
+    if not isinstance(outcome.values, tuple | list):
+        raise ValueError(
+            f"`Outcome.values` of `{name}` must be a tuple of scalars, one a channel, got "
+            f"{type(outcome.values).__name__}; for a single channel write (value,)."
+        )
+    if outcome.where is not None and jnp.result_type(outcome.where) != jnp.bool_:
+        raise ValueError(
+            f"`Outcome.where` of `{name}` must be a condition, such as speed > 0.5, got a value of "
+            f"type {jnp.result_type(outcome.where)}."
+        )
+
+
 sum_primitive = Primitive("sum_over_samples")
 sum_primitive.multiple_results = True
 sum_primitive.def_abstract_eval(
@@ -171,7 +199,15 @@ def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = Non
 
     Returns:
         The sums, in the structure of the terms.
+
+    Raises:
+        ValueError: the count is no number that is known while the program is traced.
     """
+    if not isinstance(count, int | np.integer):
+        raise ValueError(
+            "`count` must be a whole number that is known while the program is traced, such as "
+            f"settings.samples, got {count!r}; for a number of each pixel pass it as `limit`."
+        )
     structure: list[Any] = []
 
     def flat(index: Array) -> list[Array]:

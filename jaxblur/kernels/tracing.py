@@ -19,7 +19,7 @@ from .inlining import inlined
 from .keys import Keyed, key_of, key_of_jaxpr
 from .places import results_of
 from .planes import evaluate
-from .program import At, Image, Outcome, marks_primitive, sum_primitive
+from .program import At, Image, Outcome, check_outcome, marks_primitive, sum_primitive
 from .reads import place_primitive
 from .stages import Kind, Place, Prepared, Sample, Stages, table_shape
 
@@ -81,7 +81,7 @@ def trace(program: Program, images: Any, parameters: Any, settings: Any) -> Trac
 
     Raises:
         UnsupportedProgram: it has two sums, or uses a value where the engine cannot carry it.
-        ValueError: an input is neither an image nor a scalar.
+        ValueError: an input is neither an image nor a scalar, or it returns no `Outcome`.
     """
     leaves, structure = flatten(images, parameters)
     kinds = tuple(_kind(leaf) for leaf in leaves)
@@ -108,11 +108,13 @@ def _trace(
         leaves = [_leaf(kind, rest) for kind in kinds]
         images, parameters = jax.tree.unflatten(structure, leaves)
         outcome = program(at, images, parameters, settings)
+        check_outcome(outcome, name)
         where = jnp.ones((), bool) if outcome.where is None else outcome.where
         shape[:] = [len(outcome.values), outcome.otherwise is not None]
         keeps[:] = [outcome.where is not None and outcome.otherwise is None]
         return [where, *outcome.values, *(outcome.otherwise or ())]
 
+    name = getattr(program, "__name__", type(program).__name__)
     shape: list[Any] = []
     keeps: list[bool] = []
     whole = jax.ShapeDtypeStruct((), jnp.int32)
@@ -121,7 +123,6 @@ def _trace(
         inputs += _shapes(kind)
     jaxpr = inlined(jax.make_jaxpr(on_scalars)(*inputs))
     cut = _Cut(jaxpr, kinds, *shape)
-    name = getattr(program, "__name__", type(program).__name__)
     results = tuple(variable.aval.dtype.name for variable in cut.values)
     return Traced(name, jaxpr.jaxpr, kinds, cut.local, cut.tables, cut.stages(), results, keeps[0])
 

@@ -164,6 +164,15 @@ def _operator(symbol: str) -> Callable[..., str]:
     return lambda _, a, b: f"({a.code} {symbol} {b.code})"
 
 
+def _order(symbol: str) -> Callable[..., str]:
+    def write(_, a: Scalar, b: Scalar) -> str:
+        # True is -1 in a lane, which reverses the order.
+        first, second = (b, a) if a.dtype == "bool" and a.wide else (a, b)
+        return f"({first.code} {symbol} {second.code})"
+
+    return write
+
+
 def _quotient(_, a: Scalar, b: Scalar) -> str:
     return f"({a.code} * {b.facts.reciprocal})" if b.facts.reciprocal else f"({a.code} / {b.code})"
 
@@ -176,6 +185,9 @@ def _extreme(name: str, ordered: str) -> Callable[..., str]:
     """Maximum or minimum; the second form keeps a NaN where a literal stands first."""
 
     def write(_, a: Scalar, b: Scalar) -> str:
+        if a.dtype == "bool":
+            # As integers they would be compared wrongly: true is -1 in a lane.
+            return f"({a.code} {'|' if name == 'max' else '&'} {b.code})"
         if a.dtype != "float32":
             return f"{name}_int({a.code}, {b.code})"
         if a.ordered:
@@ -197,6 +209,13 @@ def widened(value: Scalar, level: Level) -> Scalar:
     if value.wide or level < Level.PIXEL:
         return value
     return dataclasses.replace(value, code=f"wide({value.code})")
+
+
+def _sign(parameters: Any, value: Scalar) -> str:
+    if value.dtype == "float32":
+        return f"sign_float({value.code})"
+    low, high = (widened(literal(np.int32(end)), value.level) for end in (-1, 1))
+    return _clamp(parameters, low, value, high)
 
 
 def _select(_, which: Scalar, *cases: Scalar) -> str:
@@ -261,13 +280,14 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "eq": _operator("=="),
     "exp": _function("expf"),
     "floor": _function("floorf"),
-    "ge": _operator(">="),
-    "gt": _operator(">"),
+    "ge": _order(">="),
+    "gt": _order(">"),
     "integer_pow": _power,
-    "le": _operator("<="),
+    "le": _order("<="),
+    "is_finite": lambda _, a: f"(fabsf({a.code}) < INFINITY)",
     "log": _function("logf"),
     "log1p": _function("log1pf"),
-    "lt": _operator("<"),
+    "lt": _order("<"),
     "max": _extreme("max", "larger"),
     "min": _extreme("min", "smaller"),
     "mul": _operator("*"),
@@ -281,10 +301,11 @@ OPERATIONS: dict[str, Callable[..., str]] = {
     "rsqrt": lambda _, a: f"(1.0f / sqrtf({a.code}))",
     "select_n": _select,
     "shift_right_arithmetic": _operator(">>"),
-    "sign": _function("sign_float"),
+    "sign": _sign,
     "sin": _function("sinf"),
     "sqrt": _function("sqrtf"),
     "square": lambda _, a: f"({a.code} * {a.code})",
     "sub": _operator("-"),
     "tanh": _function("tanhf"),
+    "xor": _operator("^"),
 }
