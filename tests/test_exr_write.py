@@ -1,4 +1,4 @@
-"""Writing images: contents kept from the model file, and files that are complete or absent."""
+"""Writing images: what is kept from the model file, and how it is stored."""
 
 import os
 import stat

@@ -142,7 +142,7 @@ def _checked_image(path: PathLike, image: Any, like: PathLike | None) -> np.ndar
     if bad.any():
         # What is read is finite, but sums of values near the end of single precision are not.
         hint = "" if like is None else f" If it was made from {like}, is the color there near 3e38?"
-        hint += " A filter of your own may divide by 0 or take the root of a negative number."
+        hint += " Division by 0 and the root of a negative number make NaN."
         count = int(bad.sum())
         raise JaxblurIOError(
             path, f"{count} values of the image are NaN or infinite; nothing was written.{hint}"

@@ -147,7 +147,7 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     info = exr.inspect(arguments.input)
     colors = exr.conversion_of(info, buffers.color_channels[0], arguments.color_space, None)
     color = _light(buffers.color, colors)
-    alpha = buffers.color[..., 1:] if buffers.color.shape[-1] < 3 else buffers.color[..., 3:]
+    alpha = buffers.color[..., _without_alpha(buffers.color) :]
     if (alpha != 1).any():
         color = np.concatenate([color, alpha], axis=-1)
     if buffers.valid is not None:
@@ -184,8 +184,13 @@ def _light(image: Any, colors: Any) -> Any:
 
     from jaxblur import metrics
 
-    opaque = image[..., : 3 if image.shape[-1] >= 3 else 1]
+    opaque = image[..., : _without_alpha(image)]
     return np.asarray(metrics.rgb(colors.light(opaque)), np.float32)
+
+
+def _without_alpha(image: Any) -> int:
+    """How many of an image's channels are color: three, or one of gray."""
+    return 3 if image.shape[-1] >= 3 else 1
 
 
 def others(

@@ -89,8 +89,10 @@ def run(arguments: argparse.Namespace) -> int:
     start_jax(not arguments.no_compile_cache)
     numbers = list(range(len(jobs)))
     with remarks_once():
-        attempts = [_attempt(jobs[k]) for k in (track(numbers, "post") if jobs[1:] else numbers)]
-    done = [(job, scored) for job, scored in zip(jobs, attempts, strict=True) if scored]
+        attempts = [
+            _attempt(jobs[k]) for k in (track(numbers, "post") if len(jobs) > 1 else numbers)
+        ]
+    done = [(job, scored) for job, scored in zip(jobs, attempts, strict=True) if scored is not None]
     _print_scores(",".join(arguments.posts), done)
     if failed := len(jobs) - len(done):
         LOG.error("%d of %d frames are not done.", failed, len(jobs))

@@ -97,8 +97,8 @@ class StackSums(NamedTuple):
 
     Attributes:
         front: color of all layers but the last, composited.
-        last: color and weight of what is known of the last layer, both times how much the layers
-            before it let through.
+        last: known color of the last layer, and its weight. Both are multiplied by how much the
+            layers in front of it let through.
         rear: the part of `last` that is not in front of the pixel's own surface.
         through: how much of it is seen.
         counts: what the slices count.
