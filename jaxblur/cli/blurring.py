@@ -164,7 +164,7 @@ def after_blur(
                 f"--then {posts.HINTED}: {chosen.name} gives no hint; pass --filter "
                 f"{posts.HINTING}, or --then fxaa."
             )
-        from jaxblur.filters.guertin2014 import luma_hint
+        from jaxblur.filters.luma_hint import luma_hint
 
         noise = noise_of(chosen.settings, seed, loaded)
         return apply_filter(

@@ -3,7 +3,6 @@ from ._masking import honoring_mask as honoring_mask
 from .guertin2014 import (
     GuertinParameters as GuertinParameters,
     guertin2014 as guertin2014,
-    luma_hint as luma_hint,
 )
 from .layered import (
     Layer as Layer,
@@ -11,6 +10,7 @@ from .layered import (
     blur_layers as blur_layers,
     layered as layered,
 )
+from .luma_hint import luma_hint as luma_hint
 from .mcguire2012 import McGuireParameters as McGuireParameters, mcguire2012 as mcguire2012
 from .parameters import ParameterInfo as ParameterInfo, parameter as parameter
 from .pixel_velocity import pixel_velocity as pixel_velocity
