@@ -176,10 +176,11 @@ def test_a_sequence_is_scored_frame_by_frame(tmp_path):
     error = refused(*names, "--truth", tmp_path / "out.####.exr", "--overwrite")
     assert "out.0001.exr: " in error and "input" in error
     (tmp_path / "truth.0002.exr").unlink()
-    before = (tmp_path / "out.0001.exr").stat().st_mtime_ns
-    error = refused(*names, "--truth", tmp_path / "truth.####.exr", "--overwrite")
-    assert "truth.0002.exr: no such file" in error
-    assert (tmp_path / "out.0001.exr").stat().st_mtime_ns == before, "nothing is written before"
+    before = (tmp_path / "out.0002.exr").stat().st_mtime_ns
+    outcome = run(*names, "--truth", tmp_path / "truth.####.exr", "--overwrite")
+    assert outcome.status == 1 and "truth.0002.exr: no such file" in outcome.err
+    assert (tmp_path / "out.0002.exr").stat().st_mtime_ns == before
+    assert scored(outcome.out)[0] == [["1", "fxaa"], ["mean", "input"], ["mean", "fxaa"]]
 
 
 def test_a_sequence(tmp_path):
@@ -194,18 +195,38 @@ def test_a_sequence(tmp_path):
     assert notes(tmp_path / "b.0002.exr")["jaxblur:then"] == "mlaa"
 
 
-def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path):
+@pytest.mark.parametrize("remaining", [-200, 100], ids=["pixels", "header"])
+def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path, remaining):
     for number in (1, 2, 3):
         write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
     damaged = tmp_path / "in.0002.exr"
-    damaged.write_bytes(damaged.read_bytes()[:-200])
+    damaged.write_bytes(damaged.read_bytes()[:remaining])
     given = (tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa")
-    outcome = run("post", *given, "--truth", tmp_path / "in.####.exr")
+    outcome = run("post", *given, "--frames", "1-4", "--truth", tmp_path / "in.####.exr")
     assert outcome.status == 1
     assert "frame 2: " in outcome.err and str(damaged) in outcome.err
-    assert "1 of 3 frames are not done." in outcome.err
+    assert f"frame 4: {tmp_path / 'in.0004.exr'}: no such file" in outcome.err
+    assert "2 of 4 frames are not done." in outcome.err
     assert [path.name for path in sorted(tmp_path.glob("out*"))] == ["out.0001.exr", "out.0003.exr"]
     assert [row[0] for row in scored(outcome.out)[0]] == ["1", "3", "mean", "mean"]
+    error = refused("post", *given, "--frames", "7-9")
+    assert "in.0007.exr: no such file, nor any other frame asked for" in error
+
+
+def test_a_run_whose_frames_cannot_be_written_stops(tmp_path, monkeypatch):
+    def refuse(path, *arguments, **options):
+        raise exr.JaxblurIOError(path, "no space left on the device")
+
+    for number in range(1, 6):
+        write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
+    monkeypatch.setattr(exr, "write_image", refuse)
+    outcome = run(
+        "post", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa"
+    )
+    assert outcome.status == 1
+    assert "frame 3: " in outcome.err and "frame 4" not in outcome.err
+    assert "3 frames in a row cannot be written; stopping." in outcome.err
+    assert "5 of 5 frames are not done." in outcome.err
 
 
 def test_the_hint_is_that_of_the_filter(source, tmp_path):

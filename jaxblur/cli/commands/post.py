@@ -1,6 +1,7 @@
 """``jaxblur post``: defocus and antialiasing alone, of pictures that need no blur."""
 
 import argparse
+import contextlib
 import itertools
 import logging
 import pathlib
@@ -28,8 +29,10 @@ from ..outputs import add_output_option, check_output, files_of
 from ..progress import remarks_once
 from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
 from ..sequence import (
+    WRITE_FAILURES,
     check_truth,
     frames_on_disk,
+    hint_of,
     names_of,
     print_scores,
     refuse_shell_pattern,
@@ -87,12 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
             exr.refuse_overwrite(output, file)
     check_outputs([output for job in jobs for output in job.files], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
-    numbers = list(range(len(jobs)))
     with remarks_once():
-        attempts = [
-            _attempt(jobs[k]) for k in (track(numbers, "post") if len(jobs) > 1 else numbers)
-        ]
-    done = [(job, scored) for job, scored in zip(jobs, attempts, strict=True) if scored is not None]
+        done = _do(jobs)
     _print_scores(",".join(arguments.posts), done)
     if failed := len(jobs) - len(done):
         LOG.error("%d of %d frames are not done.", failed, len(jobs))
@@ -103,16 +102,31 @@ _Scored = list[tuple[str | None, dict[str, Any]]]
 """The name of each view of a picture, None if it has none, and its scores."""
 
 
-def _attempt(job: "_Job") -> _Scored | None:
-    """Do a picture; a frame of a sequence that cannot be done is reported and gives None."""
-    try:
-        return _run_one(job)
-    except Exception as error:
-        if job.frame is None or not is_foreseeable(error):
-            raise
-        reason = in_option_names(message_of(error), vars(job.arguments))
-        LOG.error("frame %d: %s", job.frame, reason)
-        return None
+def _do(jobs: Sequence["_Job"]) -> list[tuple["_Job", _Scored]]:
+    """Do all pictures; a frame of a sequence that cannot be done is reported and left out."""
+    done, refused = [], 0
+    numbers = range(len(jobs))
+    for job in (jobs[k] for k in (track(numbers, "post") if len(jobs) > 1 else numbers)):
+        stage = "read"
+        try:
+            made = _made(job)
+            stage = "write"
+            _write(job, made)
+        except Exception as error:
+            if job.frame is None or not is_foreseeable(error):
+                raise
+            reason = in_option_names(message_of(error), vars(job.arguments))
+            LOG.error("frame %d: %s", job.frame, reason)
+            refused = refused + 1 if stage == "write" else 0
+            if refused == WRITE_FAILURES:
+                LOG.error("%d frames in a row cannot be written; stopping.", refused)
+                break
+            continue
+        refused = 0
+        names = [view_files.label_of(view.arguments, len(made.views) > 1) for view in made.views]
+        scored = [view.scores(image) for view, image in zip(made.views, made.images, strict=True)]
+        done.append((job, list(zip(names, scored, strict=True))))
+    return done
 
 
 def _print_scores(method: str, done: Sequence[tuple["_Job", _Scored]]) -> None:
@@ -170,29 +184,32 @@ def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
 
 def _jobs(arguments: argparse.Namespace) -> list[_Job]:
     """The work on every frame, or on every frame of a view that has files."""
+    from jaxblur import exr
     from jaxblur.sequence import at_frame, has_frame_number, parse_names
 
     check_output(arguments)
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
-        return [_job(arguments, None, arguments.output)]
+        return [
+            _Job(arguments, None, files_of(arguments, arguments.output, views.names_of(arguments)))
+        ]
     sources, outputs = names_of(arguments, _roles(arguments)), parse_names(arguments.output)
     numbers = arguments.frames or frames_on_disk(sources["input"])
     check_truth(arguments, numbers)
     found = []
     for number in numbers:
         here = argparse.Namespace(**vars(arguments) | at_frame(sources, number))
-        found.append(_job(here, number, outputs.path(number)))
+        names: list[str] = []
+        # A frame that cannot be read is reported when it is its turn.
+        with contextlib.suppress(exr.JaxblurIOError):
+            names = views.names_of(here)
+        found.append(_Job(here, number, files_of(here, outputs.path(number), names)))
+    if not any(job.arguments.input.is_file() for job in found):
+        raise CommandError(
+            f"{found[0].arguments.input}: no such file, nor any other frame asked for"
+            f"{hint_of(sources['input'])}."
+        )
     return found
-
-
-def _job(arguments: argparse.Namespace, frame: int | None, output: pathlib.Path) -> _Job:
-    from jaxblur import exr
-
-    job = _Job(arguments, frame, files_of(arguments, output, views.names_of(arguments)))
-    for source in job.sources():
-        exr.inspect(source)
-    return job
 
 
 class _View(NamedTuple):
@@ -233,55 +250,71 @@ def _read(arguments: argparse.Namespace) -> _View:
     return _View(arguments, color, channels, colors, shown_truth(arguments, color.shape))
 
 
-def _run_one(job: _Job) -> _Scored:
-    """Do a picture."""
-    import numpy as np
+class _Made(NamedTuple):
+    """A picture after the posts.
 
+    Attributes:
+        views: the picture as it was read, or its views.
+        images: (H, W, C) of each view after the posts.
+        states: of the files that were read, as a `jaxblur.exr.FileStates`.
+    """
+
+    views: list[_View]
+    images: list[Any]
+    states: Any
+
+
+def _made(job: _Job) -> _Made:
+    """Read a picture and put it through the posts."""
     from jaxblur import exr
 
-    arguments, _, files = job
-    source, depth = arguments.input, arguments.depth_from or arguments.input
+    source, depth = job.arguments.input, job.arguments.depth_from or job.arguments.input
     states = exr.FileStates.of([source, depth])
-    pictures = [_read(eye) for eye in views.each(arguments)]
+    pictures = [_read(eye) for eye in views.each(job.arguments)]
     if len({picture.color.shape[:2] for picture in pictures}) > 1:
         names = " and ".join(picture.arguments.layer for picture in pictures)
         raise CommandError(
             f"{source}: views {names} have different sizes; do one after the other, with --layer."
         )
-    made = [_through_posts(picture, depth) for picture in pictures]
+    return _Made(pictures, [_through_posts(picture, depth) for picture in pictures], states)
+
+
+def _write(job: _Job, made: _Made) -> None:
+    """Write a picture, its views in one file where the format holds them."""
+    import numpy as np
+
+    from jaxblur import exr
+
+    arguments, files = job.arguments, job.files
+    source = arguments.input
     for part in exr.inspect(source).parts:
         if again := posts.earlier(part.attributes, arguments.posts):
             LOG.warning("%s: has been through %s before; this does it again.", source, again)
             break
-    sources = dict.fromkeys(path.name for path in (source, depth))
+    sources = dict.fromkeys(path.name for path in (source, arguments.depth_from or source))
     notes = {
         "jaxblur:version": jaxblur.__version__,
         "jaxblur:post_inputs": ", ".join(sources),
         **posts.notes(arguments),
     }
     like = source if source.suffix.lower() == ".exr" else None
-    images, channels = made, [picture.channels for picture in pictures]
+    images, channels = made.images, [view.channels for view in made.views]
     if len(files) < len(images):
-        # All views go into one file.
         images, channels = [np.concatenate(images, axis=-1)], [sum(channels, ())]
-    for picture, output, image, names in zip(pictures, files, images, channels, strict=False):
+    for view, output, image, names in zip(made.views, files, images, channels, strict=False):
         exr.write_image(
             output,
             image,
             like=like,
             attributes=notes,
-            layer=picture.arguments.layer,
+            layer=view.arguments.layer,
             color_channels=names if like else None,
-            unchanged=states if output == files[0] else None,
+            unchanged=made.states if output == files[0] else None,
             color_space=arguments.color_space,
             view=arguments.view,
             bits=arguments.bits,
         )
         print_line(f"{output}")
-    return [
-        (view_files.label_of(picture.arguments, len(made) > 1), picture.scores(image))
-        for picture, image in zip(pictures, made, strict=True)
-    ]
 
 
 def _through_posts(picture: _View, depth: pathlib.Path) -> Any:

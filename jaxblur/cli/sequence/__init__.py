@@ -15,8 +15,9 @@ from .options import (
 from .plan import (
     check_truth as check_truth,
     frames_on_disk as frames_on_disk,
+    hint_of as hint_of,
     names_of as names_of,
     with_all_frames as with_all_frames,
 )
 from .report import print_scores as print_scores, scores_record as scores_record
-from .run import blur_sequence as blur_sequence
+from .run import WRITE_FAILURES as WRITE_FAILURES, blur_sequence as blur_sequence

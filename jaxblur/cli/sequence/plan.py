@@ -129,7 +129,7 @@ def refuse(plan: Any, names: Any) -> None:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise CommandError(f"{refused[0].reason}{more}.")
     if len(missing) == len(plan.jobs):
-        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{_hint(names)}.")
+        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint_of(names)}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -273,15 +273,22 @@ def frames_on_disk(names: Any) -> list[int]:
 
     frames = names.frames_on_disk()
     if not frames:
-        raise CommandError(f"{names.pattern}: no such frames{_hint(names)}.")
+        raise CommandError(f"{names.pattern}: no such frames{hint_of(names)}.")
     missing = missing_frames(frames)
     if missing:
         LOG.warning("%s: missing frames: %s.", names.pattern, missing)
     return frames
 
 
-def _hint(names: Any) -> str:
-    """What files there are instead, and the pattern for them."""
+def hint_of(names: Any) -> str:
+    """What files there are instead of missing ones, and the pattern for them.
+
+    Args:
+        names: a `jaxblur.sequence.FrameNames`.
+
+    Returns:
+        The end of a sentence; empty where nothing near is there.
+    """
     other = names.other_padding()
     if other is None:
         near = " or ".join(map(repr, names.near_patterns()))
