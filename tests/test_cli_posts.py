@@ -220,9 +220,7 @@ def test_a_run_whose_frames_cannot_be_written_stops(tmp_path, monkeypatch):
     for number in range(1, 6):
         write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
     monkeypatch.setattr(exr, "write_image", refuse)
-    outcome = run(
-        "post", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa"
-    )
+    outcome = run("post", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", "--do", "fxaa")
     assert outcome.status == 1
     assert "frame 3: " in outcome.err and "frame 4" not in outcome.err
     assert "3 frames in a row cannot be written; stopping." in outcome.err

@@ -38,7 +38,7 @@ def smear(at, images, numbers, _):
     def sample(i):
         column = jnp.clip(at.column + i, 0, images.color.width - 1)
         weight = jnp.where(i < reach, 1.0, 0.0)
-        return [weight * value for value in images.color.read(at.row, column)], weight
+        return [weight * value for value in images.color.read_inside(at.row, column)], weight
 
     colors, total = sum_over(4, sample)
     return Outcome(tuple(color / total for color in colors), where=speed > 0.5)

@@ -34,7 +34,7 @@ def gather(at, images, weight, _):
 
     def sample(i):
         column = jnp.clip(at.column + i, 0, images.color.width - 1)
-        return [scaled * value for value in images.color.read(at.row, column)]
+        return [scaled * value for value in images.color.read_inside(at.row, column)]
 
     sums = sum_over(4, sample)
     own = images.color.here()

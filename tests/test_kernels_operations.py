@@ -150,6 +150,22 @@ def test_neighbors_in_memory_are_read_as_often_as_they_are_asked_for():
     np.testing.assert_allclose(ours, np.stack(expected, axis=-1), rtol=1e-6)
 
 
+def far_program(at, images, _, __):
+    """Reads far beyond every corner."""
+    places = [(down * 10**8, across * 10**8) for down in (-1, 1) for across in (-1, 1)]
+    return Outcome(tuple(images.a.read(*place)[0] for place in places))
+
+
+@pytest.mark.parametrize("backend", ["native", "xla"])
+def test_a_read_outside_the_image_gives_the_pixel_at_its_edge(backend):
+    plane = jnp.asarray(np.random.default_rng(0).random((*SIZE, 1)), jnp.float32)
+    images = Planes(Image(plane), Image(plane))
+    result = each_pixel(far_program, SIZE, images, backend=backend)
+    corners = plane[0, 0], plane[0, -1], plane[-1, 0], plane[-1, -1]
+    for channel, corner in enumerate(corners):
+        assert (result[..., channel] == corner).all()
+
+
 def loop_program(at, images, _, __):
     """Values change places, a loop runs in the loop, and both count."""
     (local,) = images.a.here()

@@ -157,11 +157,11 @@ def largest(at: At, images: Speeds, _: None, window: Window) -> Outcome:
 
         def pixel(j: Any, best: Any) -> Any:
             column = jnp.minimum(at.column * window.columns + j, images.speed.width - 1)
-            return jnp.maximum(best, images.speed.read(row, column)[0])
+            return jnp.maximum(best, images.speed.read_inside(row, column)[0])
 
         return lax.fori_loop(0, window.columns, pixel, best)
 
-    first = images.speed.read(at.row * window.rows, at.column * window.columns)[0]
+    first = images.speed.read_inside(at.row * window.rows, at.column * window.columns)[0]
     return Outcome((lax.fori_loop(0, window.rows, in_row, first),))
 
 

@@ -51,14 +51,14 @@ def blur_pixel(at: At, images: Images, _: None, settings: jaxblur.Settings) -> O
     """Sums of what passes a pixel, composited."""
     radius, side = settings.radius, 2 * settings.radius + 1
     (depth,) = images.depth.here()
-    dominant_x, dominant_y = images.dominant.read(*own_tile(at, radius), 2)
+    dominant_x, dominant_y = images.dominant.read_inside(*own_tile(at, radius), 2)
 
     def pixel(i):
         row, column = at.row + i // side - radius, at.column + i % side - radius
         near_row = jnp.clip(row, 0, images.color.height - 1)
         near_column = jnp.clip(column, 0, images.color.width - 1)
         inside = (near_row == row) & (near_column == column)
-        x, y = images.velocity.read(near_row, near_column)
+        x, y = images.velocity.read_inside(near_row, near_column)
         right = (column - at.column).astype(x.dtype)
         down = (row - at.row).astype(x.dtype)
         squared = x**2 + y**2
@@ -68,9 +68,9 @@ def blur_pixel(at: At, images: Images, _: None, settings: jaxblur.Settings) -> O
         passes = inside & jnp.where(moves, on_line, (right == 0) & (down == 0))
         share = jnp.where(moves, 0.5 / jnp.sqrt(jnp.where(moves, squared, 1)), 1)
         share = jnp.where(passes, share, 0)
-        (other,) = images.depth.read(near_row, near_column)
+        (other,) = images.depth.read_inside(near_row, near_column)
         front, back = relative_closeness(other, depth, SHARPNESS)
-        color = images.color.read(near_row, near_column)
+        color = images.color.read_inside(near_row, near_column)
         weights = share * (1 - back), share * front * back, share * (1 - front)
         return tuple(Group([weight * value for value in color], weight) for weight in weights)
 

@@ -68,7 +68,7 @@ def dilate(at: At, images: Velocity, _: None, diffusion: Diffusion) -> Outcome:
         column = at.column + offset if diffusion.along_x else at.column
         row = jnp.clip(row, 0, images.velocity.height - 1)
         column = jnp.clip(column, 0, images.velocity.width - 1)
-        other_x, other_y = images.velocity.read(row, column)
+        other_x, other_y = images.velocity.read_inside(row, column)
         moves = (other_x**2 + other_y**2 > STILL**2).astype(other_x.dtype)
         return moves * other_x, moves * other_y, moves
 

@@ -59,7 +59,7 @@ def blur_pixel(
     at: At, images: Images, parameters: Parameters, settings: jaxblur.Settings
 ) -> Outcome:
     """The sum over pairs of taps."""
-    dominant = images.dominant.read(*own_tile(at, settings.radius), 2)
+    dominant = images.dominant.read_inside(*own_tile(at, settings.radius), 2)
     longest = safe_norm(*dominant)
     pairs = settings.samples // 2
     own_speed, own_depth = images.speed_and_depth.here()

@@ -45,7 +45,7 @@ def longest_on_line(at: At, images: Velocity, _: None, line: Line) -> Outcome:
             column = jnp.clip(column + i - line.reach, 0, images.velocity.width - 1)
         else:
             row = jnp.clip(row + i - line.reach, 0, images.velocity.height - 1)
-        other = images.velocity.read(row, column)
+        other = images.velocity.read_inside(row, column)
         longer = other[2] > best[2]
         return tuple(jnp.where(longer, a, b) for a, b in zip(other, best, strict=True))
 

@@ -40,7 +40,7 @@ def draw_segment(at: At, images: Images, _: None, __: None) -> Outcome:
         near_row = jnp.clip(row, 0, images.rank.height - 1)
         near_column = jnp.clip(column, 0, images.rank.width - 1)
         counts = (near_row == row) & (near_column == column) & (i <= 2 * steps)
-        (rank,) = images.rank.read(at.row, at.column)
+        (rank,) = images.rank.read_inside(at.row, at.column)
         return ((near_row * images.rank.width + near_column, jnp.where(counts, rank, 0)),)
 
     return Outcome(mark_over(2 * steps + 1, mark))

@@ -172,5 +172,5 @@ def read_color_along(
     column = jnp.clip(texel.column + jnp.where(along_x, step, 0), 0, image.width - 1)
     row = jnp.clip(texel.row + jnp.where(along_x, 0, step), 0, image.height - 1)
     first = image.read_texel(texel.number)
-    second = image.read(row, column)
+    second = image.read_inside(row, column)
     return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))

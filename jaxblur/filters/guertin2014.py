@@ -151,7 +151,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     pixel = Motion(*images.motion.here())
 
     # Pass 4: the dominant velocity of one tile. Pass 5: nothing to do where it is short.
-    dominant = images.dominant.read(*read_tile(at, images, scalars, settings))
+    dominant = images.dominant.read_inside(*read_tile(at, images, scalars, settings))
     reach = safe_norm(*dominant)
     moves = reach > SPEED_FLOOR
 

@@ -30,7 +30,7 @@ def hint_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
     blurred = jnp.zeros((), bool)
     for choice, chance in zip(choices, chances, strict=True):
         tile = read_tile(at, images, scalars._replace(choice=choice), settings)
-        moves = safe_norm(*images.dominant.read(*tile)) > SPEED_FLOOR
+        moves = safe_norm(*images.dominant.read_inside(*tile)) > SPEED_FLOOR
         blurred = blurred | (moves & (chance > 0))
     color = images.color.here()
     weights = REC709_LUMA if len(color) >= 3 else (1.0,)

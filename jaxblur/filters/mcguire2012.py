@@ -84,7 +84,7 @@ def blur_pixel(
 ) -> Outcome:
     """The gather of listing 1."""
     pixel = Motion(*images.motion.here())
-    dominant = images.dominant.read(*own_tile(at, settings.radius))
+    dominant = images.dominant.read_inside(*own_tile(at, settings.radius))
     reach = safe_norm(*dominant)
 
     limit = path_samples(reach, settings)

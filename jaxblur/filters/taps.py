@@ -95,10 +95,10 @@ def _taps_at(
     images = prepare_images(frame, settings, noise)
     at, count = At(row, column), settings.samples
     scalars = Scalars.of(parameters, settings)
-    pixel = Motion(*images.motion.read(row, column))
+    pixel = Motion(*images.motion.read_inside(row, column))
     jitter = jnp.zeros_like(pixel.x)
     if images.tap_noise is not None and images.tile_noise is not None:
-        (tap_noise,) = images.tap_noise.read(row, column)
+        (tap_noise,) = images.tap_noise.read_inside(row, column)
         jitter = tap_noise * scalars.jitter
         images = images._replace(tile_noise=images.tile_noise.at(at))
     share = None
@@ -114,7 +114,7 @@ def _taps_at(
 
     def of_choice(choice: jax.Array | None) -> tuple[jax.Array, ...]:
         tile = read_tile(at, images, scalars._replace(choice=choice), settings)
-        dominant = images.dominant.read(*tile)
+        dominant = images.dominant.read_inside(*tile)
         directions = two_directions(
             (pixel.x, pixel.y), pixel.inverse_speed, dominant, scalars.gamma
         )

@@ -51,7 +51,7 @@ def tile_velocity(at: At, images: Found, _: None, radius: int) -> Outcome:
     """Pass 2: the velocity of a tile's fastest pixel, clamped to the radius, and its speed."""
     number = images.fastest.here()[0].astype(jnp.int32)
     row, column = at.row * radius + number // radius, at.column * radius + number % radius
-    x, y = images.velocity.read(row, column)
+    x, y = images.velocity.read_inside(row, column)
     speed = safe_norm(x, y)
     shorter = shortening(speed, radius)
     return Outcome((x * shorter, y * shorter, jnp.minimum(speed, radius)))
@@ -65,7 +65,7 @@ def ring_velocity(at: At, images: Tiles, _: None, diagonal: Diagonal) -> Outcome
         inside = (row >= 0) & (row < images.tiles.height)
         inside = inside & (column >= 0) & (column < images.tiles.width)
         row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        x, y, speed = (lax.stop_gradient(part) for part in images.tiles.read(row, column))
+        x, y, speed = (lax.stop_gradient(part) for part in images.tiles.read_inside(row, column))
         if best is None:
             best = speed
             continue
@@ -77,7 +77,7 @@ def ring_velocity(at: At, images: Tiles, _: None, diagonal: Diagonal) -> Outcome
         best = jnp.where(larger, speed, best)
         best_row = jnp.where(larger, row, best_row)
         best_column = jnp.where(larger, column, best_column)
-    return Outcome(images.tiles.read(best_row, best_column, 2))
+    return Outcome(images.tiles.read_inside(best_row, best_column, 2))
 
 
 class Soft(NamedTuple):
@@ -120,7 +120,7 @@ def soft_tile_velocity(at: At, images: Winners, _: None, soft: Soft) -> Outcome:
         row = at.row * soft.radius + lax.div(i, jnp.int32(soft.radius))
         column = at.column * soft.radius + lax.rem(i, jnp.int32(soft.radius))
         inside = (row < images.velocity.height) & (column < images.velocity.width)
-        x, y = images.velocity.read(jnp.where(inside, row, 0), jnp.where(inside, column, 0))
+        x, y = images.velocity.read_inside(jnp.where(inside, row, 0), jnp.where(inside, column, 0))
         speed = safe_norm(x, y)
         shorter = shortening(speed, soft.radius)
         weight = jnp.exp((jnp.minimum(speed, soft.radius) - top) / soft.temperature)
@@ -141,7 +141,7 @@ def soft_ring_velocity(at: At, images: Tiles, _: None, soft: Soft) -> Outcome:
         inside = (row >= 0) & (row < images.tiles.height)
         inside = inside & (column >= 0) & (column < images.tiles.width)
         place = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        x, y, speed = images.tiles.read(*place)
+        x, y, speed = images.tiles.read_inside(*place)
         if ox * oy and soft.diagonal == "reaching":
             inside = inside & (jnp.sign(x) * jnp.sign(y) * (ox * oy) > 0)
         found.append((x, y, speed, inside))
@@ -170,7 +170,7 @@ def ring_variance(at: At, images: Tiles, _: None, __: None) -> Outcome:
         inside = (row >= 0) & (row < images.tiles.height)
         inside = inside & (column >= 0) & (column < images.tiles.width)
         row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        x, y = safe_normalize(*images.tiles.read(row, column))
+        x, y = safe_normalize(*images.tiles.read_inside(row, column))
         dot = jnp.abs(own_x * x + own_y * y)
         dot = jnp.where(still | ((x == 0) & (y == 0)), 1, dot)
         aligned = aligned + jnp.where(inside, dot, 0)
@@ -474,7 +474,10 @@ def read_between_tiles(at: At, image: Image, radius: int) -> tuple[Array, ...]:
         sides.append((ends, along - first))
     (rows, down), (columns, across) = sides
     upper, lower = (
-        [a + across * (b - a) for a, b in zip(*(image.read(row, c) for c in columns), strict=True)]
+        [
+            a + across * (b - a)
+            for a, b in zip(*(image.read_inside(row, c) for c in columns), strict=True)
+        ]
         for row in rows
     )
     return tuple(a + down * (b - a) for a, b in zip(upper, lower, strict=True))

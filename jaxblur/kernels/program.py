@@ -34,7 +34,7 @@ class At(NamedTuple):
 
 
 class Image:
-    """An image that a program reads: the pixel's own values by `here`, any pixel by `read`.
+    """An image that a program reads: the pixel's own values by `here`, those of any by `read`.
 
     Outside a program `read` works too, on arrays of places.
 
@@ -98,7 +98,7 @@ class Image:
             An image whose `here` gives the values there.
         """
         table = self.values.reshape(-1) if self._table is None else self._table
-        own = self.read(place.row, place.column)
+        own = self.read_inside(place.row, place.column)
         size = jnp.asarray(self.height), jnp.asarray(self.width)
         return Image.inside(table, own, size)
 
@@ -108,16 +108,34 @@ class Image:
             raise ValueError("`Image.here` works only inside a program that the engine traces.")
         return self._own
 
-    def read(self, row: Array, column: Array, count: int | None = None) -> tuple[Array, ...]:
-        """The channels of a pixel anywhere.
+    def read(
+        self, row: ArrayLike, column: ArrayLike, count: int | None = None
+    ) -> tuple[Array, ...]:
+        """The channels of any pixel; outside the image those of the nearest pixel at its edge.
 
         Args:
-            row: of the pixel, known to lie inside the image.
-            column: of the pixel, known to lie inside the image.
+            row: of the pixel, a whole number.
+            column: of the pixel, a whole number.
             count: read only so many channels, the first ones; all if None.
 
         Returns:
             One value a channel. Differentiable in the image; the place has no derivative.
+        """
+        row, column = jnp.clip(row, 0, self.height - 1), jnp.clip(column, 0, self.width - 1)
+        return self.read_inside(row, column, count)
+
+    def read_inside(self, row: Array, column: Array, count: int | None = None) -> tuple[Array, ...]:
+        """The channels of a pixel that is known to lie inside the image.
+
+        Faster than `read`, and not checked: native code reads other memory for a place outside.
+
+        Args:
+            row: of the pixel, a whole number.
+            column: of the pixel, a whole number.
+            count: as `read`.
+
+        Returns:
+            As `read`.
         """
         return self.read_texel(row * self.width + column, count)
 

@@ -109,7 +109,7 @@ def gather(at: At, images: Images, lens: Scalars, settings: Settings) -> Outcome
     own = Surface(*images.surface.here())
     # The tile of the pixel; its neighborhood holds all that spreads as far as here.
     side = jnp.full_like(at.row, settings.radius)
-    (near,) = images.near.read(lax.div(at.row, side), lax.div(at.column, side))
+    (near,) = images.near.read_inside(lax.div(at.row, side), lax.div(at.column, side))
     cosine, sine = images.turn.here()
     reach = jnp.abs(own.radius)
 
@@ -137,7 +137,7 @@ def gather(at: At, images: Images, lens: Scalars, settings: Settings) -> Outcome
         counts = inside & ((right != 0) | (down != 0))
         row = jnp.clip(row, 0, images.color.height - 1)
         column = jnp.clip(column, 0, images.color.width - 1)
-        other = Surface(*images.surface.read(row, column))
+        other = Surface(*images.surface.read_inside(row, column))
         away = safe_norm(right.astype(reach.dtype), down.astype(reach.dtype))
 
         nearer = other.inverse_depth - own.inverse_depth
@@ -149,7 +149,7 @@ def gather(at: At, images: Images, lens: Scalars, settings: Settings) -> Outcome
         matches = jnp.where(own_part, other.radius >= 0, other.radius < 0)
         over = jnp.where(matches, front * area, 0) * _density(away, jnp.abs(other.radius))
         behind = jnp.where(own_part, (1 - front) * area * _inside(away, reach), 0)
-        color = images.color.read(row, column)
+        color = images.color.read_inside(row, column)
         return Sums(
             tuple(over * value for value in color),
             over,

@@ -151,7 +151,7 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         if images.hidden is not None:
             times = lax.div(images.hidden.height, height)
             image = jnp.minimum(lax.div(k * times, jnp.int32(plan.maps.parts)), times - 1)
-            given = images.hidden.read(image * height + at.row, at.column)
+            given = images.hidden.read_inside(image * height + at.row, at.column)
             is_given = given[0] == given[0]
             color = tuple(jnp.where(is_given, *pair) for pair in zip(given, color, strict=True))
             known = jnp.where(is_given, 1, known)
@@ -197,7 +197,7 @@ def _around(
             row, column = at.row + tried * side[0], at.column + tried * side[1]
             inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
             row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-            depth = images.paths.read(row, column, 3)[2]
+            depth = images.paths.read_inside(row, column, 3)[2]
             takes = (distance == 0) & inside & (depth > behind)
             distance = jnp.where(takes, jnp.asarray(tried, distance.dtype), distance)
         return distance

@@ -89,7 +89,7 @@ def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, hal
     column = at.column + jnp.floor(jnp.where(near, x, 0) + 0.5).astype(jnp.int32)
     inside = near & (row >= 0) & (row < height) & (column >= 0) & (column < width)
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    previous_x, previous_y, next_x, next_y = neighbor.read(row, column)
+    previous_x, previous_y, next_x, next_y = neighbor.read_inside(row, column)
     back = (previous_x, previous_y) if side > 0 else (next_x, next_y)
     miss = safe_norm(back[0] + x, back[1] + y)
     known = inside & (miss < NEAR + RELATIVE * safe_norm(x, y))

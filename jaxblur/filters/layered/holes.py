@@ -84,7 +84,7 @@ def hole_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome
     size = jnp.asarray(images.paths.height), jnp.asarray(images.paths.width)
 
     def in_map(k: Int[Array, ""]) -> Sums:
-        (mark,) = images.owners.read(k * size[0] + at.row, at.column)
+        (mark,) = images.owners.read_inside(k * size[0] + at.row, at.column)
         found, texel = _beside(at, images, inputs, plan, k, size)
         color, known = found.color, found.known
         if images.neighbors:
@@ -150,7 +150,7 @@ def _first_owner(
         row, column = at.row + distance * side[0], at.column + distance * side[1]
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        (mark,) = owners.read(k * height + row, column)
+        (mark,) = owners.read_inside(k * height + row, column)
         takes = inside & (mark != 0) & (found.mark == 0)
         found = Side(jnp.where(takes, mark, found.mark), jnp.where(takes, distance, found.distance))
     return found

@@ -56,9 +56,7 @@ class Neighbor(NamedTuple):
 
     def light_at(self, row: Int[Array, ""], column: Int[Array, ""]) -> Array:
         """`light` of a pixel; of the nearest one outside the frame."""
-        rows, columns = jnp.asarray(self.light.height), jnp.asarray(self.light.width)
-        row, column = row >> _BLOCK_BITS, column >> _BLOCK_BITS
-        (light,) = self.light.read(jnp.clip(row, 0, rows - 1), jnp.clip(column, 0, columns - 1))
+        (light,) = self.light.read(row >> _BLOCK_BITS, column >> _BLOCK_BITS)
         return light
 
 
@@ -114,12 +112,12 @@ def common_light(at: At, images: Both, _: None, __: None) -> Outcome:
     column = at.column + jnp.floor(x + 0.5).astype(jnp.int32)
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    (depth,) = images.depth.read(row, column)
+    (depth,) = images.depth.read_inside(row, column)
     both = inside & (jnp.abs(jnp.log(finite_depth(depth)) - log_depth) < _ONE_SURFACE)
     if images.valid is not None:
-        (valid,) = images.valid.read(row, column)
+        (valid,) = images.valid.read_inside(row, column)
         both = both & (valid > 0)
-    lights = (*images.here.read(row, column), *images.there.here())
+    lights = (*images.here.read_inside(row, column), *images.there.here())
     roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in lights]
     return Outcome((both.astype(x.dtype), *roots))
 

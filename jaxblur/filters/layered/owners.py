@@ -232,7 +232,7 @@ class MapsRead(NamedTuple):
 def state_of_pixel(at: At, images: MapsRead, _: None, drawing: Drawing) -> Outcome:
     """What there is to do at a pixel: whether it rests, moves, or also lacks an owner."""
     marks = [
-        images.owners.read(k * images.paths.height + at.row, at.column)[0]
+        images.owners.read_inside(k * images.paths.height + at.row, at.column)[0]
         for k in range(drawing.maps.total)
     ]
     own = Path(*images.paths.here())
@@ -307,7 +307,7 @@ def read_owner(
         The owner.
     """
     height, width = size
-    (mark,) = owners.read(time * height + at.row, at.column)
+    (mark,) = owners.read_inside(time * height + at.row, at.column)
     level, own_level = coding.level_of(mark, own.x), coding.level(own.log_depth)
     rests = ~moves(own) & (level <= own_level)
     right, down = coding.offset_of(mark)
@@ -351,7 +351,7 @@ def moving_owner(
     def owner_beside(right: Array | int, down: Array | int) -> Owner:
         row = jnp.clip(at.row + down, 0, size[0] - 1)
         column = jnp.clip(at.column + right, 0, size[1] - 1)
-        own = Path(*paths.read(row, column))
+        own = Path(*paths.read_inside(row, column))
         return read_owner(At(row, column), owners, index, own, coding, size)
 
     own = owner_beside(0, 0)

@@ -104,7 +104,7 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
         for down, right in NEIGHBORS
     ]
     step = jnp.exp(1 / limits.separation)
-    depths = [finite_depth(images.depth.read(*place)[0]) for place in near]
+    depths = [finite_depth(images.depth.read_inside(*place)[0]) for place in near]
     own_depth = finite_depth(depth)
     jumps = [(d > own_depth * step) | (d < own_depth / step) for d in depths]
 
@@ -131,8 +131,8 @@ def purest_motion(at: At, images: Buffers, limits: Limits, settings: Settings) -
     # The mean velocity of the other side.
     across, down = taken_from(start)
     row, column = at.row + down.astype(jnp.int32), at.column + across.astype(jnp.int32)
-    own = _velocity(images.motion.read(row, column))
-    vectors = [_velocity(images.motion.read(*place)) for place in near]
+    own = _velocity(images.motion.read_inside(row, column))
+    vectors = [_velocity(images.motion.read_inside(*place)) for place in near]
     count = jnp.maximum(_count(apart, own[0]), 1)
     mean = [
         _sum(jnp.where(a, vector[axis], 0) for a, vector in zip(apart, vectors, strict=True))
@@ -175,18 +175,22 @@ def _share_of_nearer(at: At, images: Buffers, nearer: Array, covering: Array) ->
         inside = (row >= 0) & (row < images.depth.height)
         inside = inside & (column >= 0) & (column < images.depth.width)
         row, column = jnp.where(inside, row, at.row), jnp.where(inside, column, at.column)
-        is_nearer = finite_depth(images.depth.read(row, column)[0]) < nearer
+        is_nearer = finite_depth(images.depth.read_inside(row, column)[0]) < nearer
         return row, column, inside & is_nearer
 
     def is_valid(row: Array, column: Array) -> Array:
-        return jnp.asarray(True) if images.valid is None else images.valid.read(row, column)[0] != 0
+        return (
+            jnp.asarray(True)
+            if images.valid is None
+            else images.valid.read_inside(row, column)[0] != 0
+        )
 
     row, column, beyond = place(2)
     beside_row, beside_column, _ = place(1)
     row, column = jnp.where(beyond, row, beside_row), jnp.where(beyond, column, beside_column)
-    inner, known = images.color.read(row, column), is_valid(row, column)
+    inner, known = images.color.read_inside(row, column), is_valid(row, column)
     row, column, is_nearer = place(-1)
-    outer, known = images.color.read(row, column), known & is_valid(row, column)
+    outer, known = images.color.read_inside(row, column), known & is_valid(row, column)
     known = known & is_valid(at.row, at.column)
     gaps = [a - b for a, b in zip(inner, outer, strict=True)]
     apart = [a - b for a, b in zip(images.color.here(), outer, strict=True)]
