@@ -7,6 +7,7 @@ They stand before `jax.jit`, whose errors for a foreign object name neither argu
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -52,6 +53,10 @@ def takes(
         unknown, or given by position though it has a name.
     """
 
+    for kind in settings.__mro__:
+        if issubclass(kind, Settings):
+            _make_static(kind)
+
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         name = getattr(function, "__name__", "the filter")
 
@@ -68,6 +73,14 @@ def takes(
         return checked
 
     return decorate
+
+
+@functools.cache
+def _make_static(kind: type[Settings]) -> None:
+    """Let `jax.jit`, `jax.vmap` and others take settings by name, fixed when they trace."""
+    # A class that is known to jax already stays as it is.
+    with contextlib.suppress(ValueError):
+        jax.tree_util.register_static(kind)
 
 
 def checking(function: Callable[..., Any], info: FilterInfo) -> Callable[..., Any]:
