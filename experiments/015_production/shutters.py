@@ -6,6 +6,7 @@ Five scenes of the catalogue at 320x180, 64 samples of truth, exposure half a fr
 ``shutters.csv`` and ``shutters.md``: PSNR in dB of display values, of ``layered`` with the shutter
 and of ``guertin2014`` with the box that is all it can do; ``one_sided.csv`` and ``one_sided.md``:
 what vectors to the previous frame alone cost, and what exposing where they hold gains back;
+``double.csv`` and ``double.md``: a double exposure by one shutter, and as the mean of two;
 ``kernels.csv`` and ``kernels.md``: how near the blur of a lone line comes to a box and to a
 trapezoid; and ``shutters.png``. Takes three minutes on two cores.
 """
@@ -23,7 +24,8 @@ SCENES = ("cube_between_crates", "gears", "crossing", "flagpole", "cubes_on_teap
 CURVED = ("gears", "rotation_stress", "acceleration_from_rest")
 """Scenes in which velocities change."""
 EXPOSURE, SIZE, SAMPLES = 0.5, (180, 320), 64
-TWICE = Shutter.windows([(-1, -0.4), (0.4, 1)])
+WINDOWS = ((-1.0, -0.4), (0.4, 1.0))
+TWICE = Shutter.windows(WINDOWS)
 SHUTTERS: dict[str, tuple[Shutter | None, dict[str, Any]]] = {
     "box": (None, {}),
     "trapezoid": (Shutter.trapezoid(), {"shutter_function": "trapezoid"}),
@@ -42,9 +44,15 @@ def psnr(image: Any, truth: Any) -> float:
     return float(metrics.psnr(metrics.display(image), metrics.display(truth)))
 
 
-def blurred(frame: jaxblur.Frame, exposure: Shutter | None = None) -> jaxblur.metrics.Image:
+def blurred(
+    frame: jaxblur.Frame, exposure: Shutter | None = None, samples: int = 35
+) -> jaxblur.metrics.Image:
     """The frame, blurred by `layered`."""
-    return np.asarray(jaxblur.layered(frame, jaxblur.LayeredParameters(), exposure=exposure))
+    settings = jaxblur.Settings(radius=160, fetch="bilinear", samples=samples)
+    image = jaxblur.layered(
+        frame, jaxblur.LayeredParameters(), settings=settings, exposure=exposure
+    )
+    return np.asarray(image)
 
 
 @functools.cache
@@ -72,6 +80,18 @@ def compare() -> list[list[Any]]:
             rows.append([label, name, *scores[-1], scores[-1][3] - scores[-1][1]])
         mean = np.mean(scores, axis=0)
         rows.append([label, "mean", *mean, mean[3] - mean[1]])
+    return rows
+
+
+def double_exposures() -> list[list[Any]]:
+    """One shutter with two windows, and the mean of two with one window and half the samples."""
+    rows = []
+    for name in ("gears", "crossing"):
+        frame = frame_of(name)
+        truth = truth_of(name, shutter_function=np.asarray(TWICE.curve))
+        halves = [blurred(frame, Shutter.box(*window), 18) for window in WINDOWS]
+        whole = blurred(frame, TWICE, 36)
+        rows.append([name, psnr(whole, truth), psnr(np.mean(halves, axis=0), truth)])
     return rows
 
 
@@ -148,6 +168,8 @@ def main() -> None:
     folder = common.output_parser("Blur under other shutters than a centered box.").parse_args()
     columns = ["shutter", "scene", "sharp", "guertin2014, box", "layered, box", "layered", "gain"]
     common.write_table(folder.output, "shutters", columns, compare())
+    columns = ["scene", "one shutter, 36 samples", "mean of two, 18 samples each"]
+    common.write_table(folder.output, "double", columns, double_exposures())
     columns = ["scene"] + [
         f"{sides}, {where}"
         for where in ("centered", "ends at the frame", "half a frame early")
