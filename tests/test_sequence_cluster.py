@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def client():
-    with cluster._client(cluster.LOCAL, 1) as client:
+    with cluster.cluster_client(cluster.LOCAL, 1) as client:
         yield client
 
 
@@ -62,5 +62,5 @@ def test_its_web_servers_show_nothing(client):
 def test_what_is_missing_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "cryptography", None)
     with pytest.raises(ValueError, match=r"pip install 'jaxblur\[dask\]'"):
-        with cluster._client(cluster.LOCAL, 1):
+        with cluster.cluster_client(cluster.LOCAL, 1):
             pass

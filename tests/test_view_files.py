@@ -408,7 +408,14 @@ def test_layers_with_neighbors_for_each_view_are_blurred(tmp_path):
 
 @pytest.mark.slow
 def test_workers_blur_the_files_of_each_view(tmp_path, monkeypatch):
-    pytest.importorskip("distributed", reason="comes with jaxblur[dask]")
+    distributed = pytest.importorskip("distributed", reason="comes with jaxblur[dask]")
+    make, made_clusters = distributed.LocalCluster, []
+
+    def counted(**options):
+        made_clusters.append(make(**options))
+        return made_clusters[-1]
+
+    monkeypatch.setattr(distributed, "LocalCluster", counted)
     monkeypatch.chdir(tmp_path)
     for view, x in (("left", 1.0), ("right", 1.5)):
         with_camera(tmp_path / f"in.{view}.0001.exr", x, plain_frame(SHAPE))
@@ -422,6 +429,7 @@ def test_workers_blur_the_files_of_each_view(tmp_path, monkeypatch):
         assert outcomes[-1].status == 0, outcomes[-1].err
     alone, workers = (outcome.out.splitlines()[1:] for outcome in outcomes)
     assert alone == workers and len(alone) == 7
+    assert len(made_clusters) == 1, "both views use the same workers"
     for view in VIEWS:
         made, wanted = (tmp_path / f"{f}/out.{view}.0001.exr" for f in ("workers", "alone"))
         assert made.read_bytes() == wanted.read_bytes()

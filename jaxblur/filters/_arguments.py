@@ -52,7 +52,6 @@ def takes(
         raises ValueError for an argument of another type, and TypeError for one that is missing,
         unknown, or given by position though it has a name.
     """
-
     for kind in settings.__mro__:
         if issubclass(kind, Settings):
             _make_static(kind)

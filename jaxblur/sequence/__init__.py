@@ -9,8 +9,8 @@ outputs made in another way for its own. Jobs are independent of each other and 
 file appears under its name only when it is complete.
 
 Jobs pass through the same `Stage`s wherever they run: `run_pipeline` overlaps reading, computing
-and writing in one process, `run_cluster` sends frames to the workers of a Dask cluster. All load
-on first use.
+and writing in one process, `run_cluster` sends frames to the workers of a Dask cluster, which
+`cluster_client` connects to or starts. All load on first use.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-from .cluster import run_cluster as run_cluster
+from .cluster import cluster_client as cluster_client, run_cluster as run_cluster
 from .cuts import Cut as Cut, find_cuts as find_cuts, is_cut as is_cut
 from .jobs import (
     Job as Job,

@@ -35,38 +35,32 @@ NO_PAGES = {f"distributed.{server}.http.routes": [] for server in ("scheduler", 
 
 
 def run_cluster(
-    jobs: Iterable[Job], stages: Sequence[Stage], scheduler: str, workers: int = 2
+    jobs: Iterable[Job], stages: Sequence[Stage], client: Any
 ) -> Generator[Outcome, None, None]:
     """Run the stages of jobs on the workers of a Dask cluster, each job on one worker.
 
     Args:
         jobs: the jobs; every worker must be able to use their paths.
         stages: stages in order; their functions must be picklable.
-        scheduler: ``local`` for processes on this machine, or the address of a scheduler, such
-            as ``tcp://farm:8786``.
-        workers: number of local processes.
+        client: a `distributed.Client`, as `cluster_client` gives it.
 
     Yields:
         Outcomes in order of completion. If the iterator is closed early, no further job is started.
-
-    Raises:
-        ValueError: Dask is not installed, or the scheduler does not answer.
     """
-    with _client(scheduler, workers) as client:
-        from distributed import as_completed
+    from distributed import as_completed
 
-        run = uuid.uuid4().hex
-        futures = {
-            client.submit(
-                work_on, job, tuple(stages), jaxblur.__version__, key=f"{run}-{job.frame}"
-            ): job
-            for job in jobs
-        }
-        try:
-            for future in as_completed(list(futures), loop=client.loop):
-                yield _outcome(future, futures[future])
-        finally:
-            client.cancel(list(futures))
+    run = uuid.uuid4().hex
+    futures = {
+        client.submit(
+            work_on, job, tuple(stages), jaxblur.__version__, key=f"{run}-{job.frame}"
+        ): job
+        for job in jobs
+    }
+    try:
+        for future in as_completed(list(futures), loop=client.loop):
+            yield _outcome(future, futures[future])
+    finally:
+        client.cancel(list(futures))
 
 
 def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
@@ -94,11 +88,22 @@ def work_on(job: Job, stages: Sequence[Stage], version: str) -> Outcome:
 
 
 @contextlib.contextmanager
-def _client(scheduler: str, workers: int) -> Iterator[Any]:
+def cluster_client(scheduler: str, workers: int = 2) -> Iterator[Any]:
     """Connect to a scheduler, or start one with workers and stop it afterwards.
 
     A scheduler at a ``tls://`` address is connected to with the certificates of Dask's own
     configuration.
+
+    Args:
+        scheduler: ``local`` for processes on this machine, or the address of a scheduler, such
+            as ``tcp://farm:8786``.
+        workers: number of local processes.
+
+    Yields:
+        A `distributed.Client`.
+
+    Raises:
+        ValueError: Dask is not installed, or the scheduler does not answer.
     """
     try:
         from dask import config

@@ -2,9 +2,10 @@
 
 import argparse
 import collections
+import contextlib
 import logging
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from .. import mattes, results, strength, view_files, views
@@ -55,11 +56,24 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
         if todo := run.plan.with_action("blur"):
             mattes.warn_of_sharp(run.arguments, todo[0].inputs["input"])
     with frame_messages():
-        for run in runs:
-            run.work()
+        with _client(arguments, runs) as client:
+            for run in runs:
+                run.work(client)
         report.print_outcome(arguments, _records(runs))
         _leave_result(arguments, runs)
     return 0 if all([run.is_done() for run in runs]) else FAILED
+
+
+@contextlib.contextmanager
+def _client(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> Iterator[Any]:
+    """The Dask client of all views; None where this process does the work, or there is none."""
+    from jaxblur.sequence import cluster_client
+
+    if not arguments.scheduler or not any(run.todo for run in runs):
+        yield None
+        return
+    with cluster_client(arguments.scheduler, arguments.workers or 2) as client:
+        yield client
 
 
 def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
@@ -86,6 +100,7 @@ class _Run:
     def __init__(self, arguments: argparse.Namespace, asked: Choice):
         self.arguments, self.asked = arguments, asked
         self.plan, self.names = make_plan(arguments, asked)
+        self.todo = self.plan.with_action("blur", "pass")
         self.selects: list[bool] = []
         self.view = view_files.label_of(arguments, several=False)
         self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
@@ -102,15 +117,19 @@ class _Run:
                 except JaxblurIOError as error:
                     LOG.warning("cannot be blurred: %s", error)
 
-    def work(self) -> None:
-        """Work on the frames that are to be blurred or passed through."""
+    def work(self, client: Any) -> None:
+        """Work on the frames that are to be blurred or passed through.
+
+        Args:
+            client: of a Dask cluster; None for this process.
+        """
         whose = f"view {self.view}: " if self.view else ""
         counts = report.counts_in(self.plan.jobs)
         LOG.info("%s%d frames: %s", whose, len(self.plan.jobs), counts)
         for job in self.plan.with_action("missing"):
             LOG.error("frame %d: %s", job.frame, job.reason)
-        if todo := self.plan.with_action("blur", "pass"):
-            self._work(todo)
+        if self.todo:
+            self._work(_outcomes(self.arguments, self.asked, self.todo, client))
 
     def is_done(self) -> bool:
         """Whether every frame is there, as it should be; what is wrong is reported."""
@@ -151,12 +170,11 @@ class _Run:
             )
         return bool(others)
 
-    def _work(self, todo: list[Any]) -> None:
-        outcomes = _outcomes(self.arguments, self.asked, todo)
-        before = [_times(job) for job in todo]
+    def _work(self, outcomes: Any) -> None:
+        before = [_times(job) for job in self.todo]
         refused = 0
         try:
-            with progress(len(todo)) as tell:
+            with progress(len(self.todo)) as tell:
                 for outcome in outcomes:
                     self._note(outcome, tell)
                     refused = refused + 1 if outcome.failed_in == "write" else 0
@@ -166,10 +184,10 @@ class _Run:
         except KeyboardInterrupt as interruption:
             # Stages that run are finished first, so frames may be on disk that no record has yet.
             outcomes.close()
-            pairs = zip(map(_times, todo), before, strict=True)
+            pairs = zip(map(_times, self.todo), before, strict=True)
             written = sum(None not in now and now != earlier for now, earlier in pairs)
             raise KeyboardInterrupt(
-                f"interrupted; {written} of {len(todo)} frames are written; the same command "
+                f"interrupted; {written} of {len(self.todo)} frames are written; the same command "
                 "continues from there"
             ) from interruption
         finally:
@@ -197,12 +215,11 @@ class _Run:
         tell(f"frame {outcome.job.frame} failed")
 
 
-def _outcomes(arguments: argparse.Namespace, asked: Choice, todo: list[Any]) -> Any:
+def _outcomes(arguments: argparse.Namespace, asked: Choice, todo: list[Any], client: Any) -> Any:
     from jaxblur.sequence import Shared, run_cluster, run_pipeline
 
-    if arguments.scheduler:
-        work = FrameWork(arguments, asked).stages()
-        return run_cluster(todo, work, arguments.scheduler, arguments.workers or 2)
+    if client is not None:
+        return run_cluster(todo, FrameWork(arguments, asked).stages(), client)
     # Imported in this thread, not in the one that computes: imports are best done by one thread.
     start_jax(not arguments.no_compile_cache)
     import jax
