@@ -28,6 +28,10 @@ FLIPPED = 1e-4
 """Relative error that rounding alone cannot cause: a tap read the next texel, or a comparison
 was reversed."""
 
+OUTLINES = ("layered",)
+"""Filters whose derivative by velocity contains outlines that move from pixel to pixel, while their
+value jumps there. It is compared with differences over whole steps in experiment 013."""
+
 Inputs = dict[str, Any]
 
 
@@ -56,7 +60,8 @@ class Numbers(NamedTuple):
             are multiplied by a full change of their input. 99th percentile of the differences, as
             a share of the largest product and at least of `NO_CHANGE`, for the worst input.
         modes: relative difference between reverse and forward mode in float64.
-        wrong: share of values beside the kink whose derivative is not the central difference.
+        wrong: share of values beside the kink whose derivative is not the central difference;
+            without that by velocity for `OUTLINES`.
         jumps: share of values beside the kink at which the filter jumps within the step.
     """
 
@@ -175,6 +180,8 @@ def measure(setup: Setup, frame: jaxblur.Frame) -> Numbers:
         # The value jumps where a tap reads the nearest texel. Blended it does not, and its
         # derivative is exactly that of the value.
         blend = relative(setup, {"fetch": "blend"})
+        if setup.name in OUTLINES:
+            moves["velocity"] = jnp.zeros_like(moves["velocity"])
         smooth = _as_numpy(_reference(blend, near, moves, weight))
         wrong, jumps = _against_differences(blend, near, moves, smooth[2])
     scale = max(float(np.abs(np.asarray(inputs["color"])).max()), 1e-30)
