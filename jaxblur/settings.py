@@ -44,7 +44,7 @@ class Settings:
             A function that a CPU exports for other platforms needs ``xla``.
 
     Raises:
-        ValueError: a setting is out of range or unknown.
+        ValueError: a setting is out of range or unknown, or not hashable.
     """
 
     samples: int = 35
@@ -69,6 +69,15 @@ class Settings:
             if value not in options:
                 listing = ", ".join(repr(option) for option in options)
                 raise ValueError(f"`{name}` must be one of {listing}, got {value!r}.")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            try:
+                hash(value)
+            except TypeError:
+                raise ValueError(
+                    f"`{field.name}` must be hashable, such as a number, a text or a tuple of "
+                    f"them, because equal settings share one compilation, got {value!r}."
+                ) from None
 
     @property
     def has_outcomes(self) -> bool:
