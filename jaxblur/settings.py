@@ -163,20 +163,22 @@ def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the fi
     """
     if type(settings) is kind:
         return settings
+    # A class of one's own is no name of jaxblur.
+    public = f"jaxblur.{kind.__name__}" if kind.__module__ == __name__ else kind.__name__
     if not isinstance(settings, Settings):
         given = type(settings).__name__
         if isinstance(settings, type):
             given = f"the class {settings.__name__} itself"
         raise ValueError(
             f"`settings` must be {kind.__name__}: {filter} takes {kind.__name__}, not {given}; "
-            f"pass settings=jaxblur.{kind.__name__}(...), or leave it out for the defaults."
+            f"pass settings={public}(...), or leave it out for the defaults."
         )
     names = {field.name for field in dataclasses.fields(kind)}
     extra = [field.name for field in dataclasses.fields(settings) if field.name not in names]
     if extra:
         raise ValueError(
             f"`settings` holds choices that {filter} does not have ({', '.join(extra)}): it takes "
-            f"{kind.__name__}, not {type(settings).__name__}; pass jaxblur.{kind.__name__}."
+            f"{kind.__name__}, not {type(settings).__name__}; pass {public}."
         )
     values = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     return kind(**values)

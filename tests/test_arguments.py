@@ -156,6 +156,8 @@ def test_a_filter_of_ones_own_finds_all_its_settings_whichever_class_is_given(ki
 
     found = brighter(FRAME, settings=kind(samples=5))
     np.testing.assert_allclose(found, 15 * FRAME.color, rtol=1e-6)
+    assert "pass settings=OwnSettings(...)" in refused(brighter, FRAME, settings=None)
+    assert "pass OwnSettings." in refused(brighter, FRAME, settings=jaxblur.GuertinSettings())
 
 
 def test_settings_that_are_registered_as_arrays_are_rejected():

@@ -45,7 +45,8 @@ def takes(
 
     Args:
         parameters: the class of its parameters, or None if it has none.
-        settings: the class of its settings.
+        settings: the class of its settings. The filter is given an object of this class, also
+            where plain `Settings` were passed: see `checked_settings`.
         more: names of further arguments, which the filter checks itself.
 
     Returns:
