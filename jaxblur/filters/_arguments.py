@@ -107,7 +107,7 @@ def _known_to_jax(kind: type[Settings]) -> None:
     )
 
 
-# The public names of these classes load this module: whoever has settings has static ones.
+# The public names of these classes load this module, so that settings are static from the first.
 _known_to_jax(Settings)
 _known_to_jax(GuertinSettings)
 
