@@ -24,10 +24,12 @@ from .filters import (
     FILTERS as FILTERS,
     FilterInfo as FilterInfo,
     GuertinParameters as GuertinParameters,
+    GuertinSettings as GuertinSettings,
     Layer as Layer,
     LayeredParameters as LayeredParameters,
     McGuireParameters as McGuireParameters,
     ParameterInfo as ParameterInfo,
+    Settings as Settings,
     blur_layers as blur_layers,
     filter_info as filter_info,
     guertin2014 as guertin2014,
@@ -58,7 +60,6 @@ from .planning import (
     frame_statistics as frame_statistics,
     plan as plan,
 )
-from .settings import GuertinSettings as GuertinSettings, Settings as Settings
 from .shutter import Shutter as Shutter
 from .strength import (
     MOTION_LIMITS as MOTION_LIMITS,

@@ -44,7 +44,7 @@ class Settings:
             A function that a CPU exports for other platforms needs ``xla``.
 
     Raises:
-        ValueError: a setting is out of range or unknown.
+        ValueError: a setting is out of range or unknown, or not hashable.
     """
 
     samples: int = 35
@@ -69,6 +69,15 @@ class Settings:
             if value not in options:
                 listing = ", ".join(repr(option) for option in options)
                 raise ValueError(f"`{name}` must be one of {listing}, got {value!r}.")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            try:
+                hash(value)
+            except TypeError:
+                raise ValueError(
+                    f"`{field.name}` must be hashable, such as a number, a text or a tuple of "
+                    f"them, because equal settings share one compilation, got {value!r}."
+                ) from None
 
     @property
     def has_outcomes(self) -> bool:
@@ -154,20 +163,22 @@ def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the fi
     """
     if type(settings) is kind:
         return settings
+    # A class of one's own is no name of jaxblur.
+    public = f"jaxblur.{kind.__name__}" if kind.__module__ == __name__ else kind.__name__
     if not isinstance(settings, Settings):
         given = type(settings).__name__
         if isinstance(settings, type):
             given = f"the class {settings.__name__} itself"
         raise ValueError(
             f"`settings` must be {kind.__name__}: {filter} takes {kind.__name__}, not {given}; "
-            f"pass settings=jaxblur.{kind.__name__}(...), or leave it out for the defaults."
+            f"pass settings={public}(...), or leave it out for the defaults."
         )
     names = {field.name for field in dataclasses.fields(kind)}
     extra = [field.name for field in dataclasses.fields(settings) if field.name not in names]
     if extra:
         raise ValueError(
             f"`settings` holds choices that {filter} does not have ({', '.join(extra)}): it takes "
-            f"{kind.__name__}, not {type(settings).__name__}; pass jaxblur.{kind.__name__}."
+            f"{kind.__name__}, not {type(settings).__name__}; pass {public}."
         )
     values = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     return kind(**values)

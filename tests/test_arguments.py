@@ -142,6 +142,37 @@ def own(request):
         yield by_name, *([function] if request.param == "decorated" else [])
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OwnSettings(jaxblur.Settings):
+    gain: int = 3
+
+
+@pytest.mark.parametrize("kind", [jaxblur.Settings, type("Plain", (jaxblur.Settings,), {})])
+def test_a_filter_of_ones_own_finds_all_its_settings_whichever_class_is_given(kind):
+    @jaxblur.filters.takes(None, OwnSettings)
+    @jax.jit
+    def brighter(frame, parameters=None, *, settings=OwnSettings(), noise=None):
+        return settings.gain * settings.samples * frame.color
+
+    found = brighter(FRAME, settings=kind(samples=5))
+    np.testing.assert_allclose(found, 15 * FRAME.color, rtol=1e-6)
+    assert "pass settings=OwnSettings(...)" in refused(brighter, FRAME, settings=None)
+    assert "pass OwnSettings." in refused(brighter, FRAME, settings=jaxblur.GuertinSettings())
+
+
+def test_settings_that_are_registered_as_arrays_are_rejected():
+    @jax.tree_util.register_dataclass
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Wrong(jaxblur.Settings):
+        gain: int = 3
+
+    message = refused(jaxblur.filters.takes, None, Wrong)
+    assert message == (
+        "`Wrong` must be static, but its fields are registered with jax as arrays; remove "
+        "@jax.tree_util.register_dataclass above Wrong."
+    )
+
+
 def test_a_filter_of_ones_own_rejects_what_it_does_not_take(own):
     for call in own:
         message = refused(call, FRAME.color, OwnParameters())

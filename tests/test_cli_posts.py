@@ -205,12 +205,14 @@ def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path, 
     outcome = run("post", *given, "--frames", "1-4", "--truth", tmp_path / "in.####.exr")
     assert outcome.status == 1
     assert "frame 2: " in outcome.err and str(damaged) in outcome.err
-    assert f"frame 4: {tmp_path / 'in.0004.exr'}: No such file" in outcome.err
+    assert f"frame 4: {tmp_path / 'in.0004.exr'}: no such file." in outcome.err
     assert "2 of 4 frames are not done." in outcome.err
     assert [path.name for path in sorted(tmp_path.glob("out*"))] == ["out.0001.exr", "out.0003.exr"]
     assert [row[0] for row in scored(outcome.out)[0]] == ["1", "3", "mean", "mean"]
     error = refused("post", *given, "--frames", "7-9")
     assert "in.0007.exr: no such file, nor any other frame asked for" in error
+    error = refused("post", *given, "--overwrite", "--truth", tmp_path / "truth.####.exr")
+    assert "truth.0001.exr: no such file, nor any other frame asked for" in error
 
 
 def test_a_run_whose_frames_cannot_be_written_stops(tmp_path, monkeypatch):

@@ -59,10 +59,10 @@ def test_filters_are_exported_and_read_back(name):
     info, frame = filter_info(name), random_frame((9, 11))
     parameters = jax.tree.map(jnp.float32, info.make_parameters())
     settings = info.make_settings(samples=9, radius=5, backend="xla")
-    blur = jax.jit(lambda frame, parameters: info.call(frame, parameters, settings=settings))
-    written = jax.export.export(blur)(frame, parameters).serialize()
-    read = jax.export.deserialize(written).call(frame, parameters)
-    np.testing.assert_allclose(read, blur(frame, parameters), atol=1e-6)
+    blur = jax.jit(info.call)
+    written = jax.export.export(blur)(frame, parameters, settings=settings).serialize()
+    read = jax.export.deserialize(written).call(frame, parameters, settings=settings)
+    np.testing.assert_allclose(read, blur(frame, parameters, settings=settings), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["guertin2014", "layered", "mcguire2012"])

@@ -1,3 +1,5 @@
+import dataclasses
+import subprocess
 import sys
 from typing import Any
 
@@ -65,3 +67,24 @@ def test_published_parameters_of_guertin():
     assert jaxblur.GuertinParameters() == jaxblur.GuertinParameters(
         kappa=40.0, gamma=1.5, tau=1.0, eta=0.95, phi=27.0, depth_sharpness=1.0
     )
+
+
+def test_settings_are_static_before_any_filter_is_used():
+    code = """
+import jax, jaxblur
+double = jax.jit(lambda x, settings: x * settings.samples)
+for kind in (jaxblur.Settings, jaxblur.GuertinSettings):
+    print(double(2, settings=kind(samples=9)))
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.stdout.split() == ["18", "18"], ran.stderr
+
+
+def test_a_setting_that_is_not_hashable_is_rejected_by_name():
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Own(jaxblur.Settings):
+        weights: Any = ()
+
+    assert Own(weights=(1, 2)).weights == (1, 2)
+    with pytest.raises(ValueError, match=r"`weights` must be hashable.*tuple.*got \[1, 2\]"):
+        Own(weights=[1, 2])

@@ -137,7 +137,9 @@ def test_the_radius_limits_the_motion(info):
 
 
 def test_an_array_in_a_program_is_refused(info, tmp_path):
-    code = CODE.replace("[weight * value for value in color]", "list(weight * jnp.stack(color))")
+    code = CODE.replace(
+        "[weight * value for value in color]", "list(weight * jax.numpy.stack(color))"
+    )
     path = tmp_path / "stacked.py"
     path.write_text(code.replace(NAME, "stacked_streaks"), encoding="utf-8")
     stacked = load_filter(f"{path}:stacked_streaks")

@@ -1,6 +1,6 @@
 """How good are the three ways to true motion blur, for how much time?
 
-    python experiments/002_ground_truth/run.py -o OUT            # about 12 minutes of processor time on two cores
+    python experiments/002_ground_truth/run.py -o OUT            # 12 minutes of CPU time, two cores
     python experiments/002_ground_truth/run.py -o OUT --quick    # under a minute, coarser
 
 Writes results.csv, figures.png and crops.png. Times are processor seconds over all cores, the

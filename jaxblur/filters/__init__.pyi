@@ -1,4 +1,8 @@
-from ._arguments import takes as takes
+from ._arguments import (
+    GuertinSettings as GuertinSettings,
+    Settings as Settings,
+    takes as takes,
+)
 from ._masking import honoring_mask as honoring_mask
 from .guertin2014 import (
     GuertinParameters as GuertinParameters,

@@ -7,21 +7,22 @@ They stand before `jax.jit`, whose errors for a foreign object name neither argu
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import inspect
+import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.export
 import numpy as np
 from jax import core
 
 from ..frame import check_frame_type
 from ..noise import Noise
 from ..nonfinite import refuse
-from ..settings import Settings, checked_settings
+from ..settings import GuertinSettings, Settings, checked_settings
 from .parameters import check_parameters_type
 from .registry import FilterInfo, filter_info, names
 
@@ -44,7 +45,8 @@ def takes(
 
     Args:
         parameters: the class of its parameters, or None if it has none.
-        settings: the class of its settings.
+        settings: the class of its settings. The filter is given an object of this class, also
+            where plain `Settings` were passed: see `checked_settings`.
         more: names of further arguments, which the filter checks itself.
 
     Returns:
@@ -63,8 +65,11 @@ def takes(
         def checked(*given: P.args, **options: P.kwargs) -> R:
             known = {k: v for k, v in options.items() if k not in more}
             _check_form(name, parameters, settings, given, known)
-            values = dict(zip(_BY_POSITION, given, strict=False)) | known
-            _check_types(name, parameters, settings, values)
+            values: dict[str, Any] = dict(zip(_BY_POSITION, given, strict=False)) | known
+            _check_types(name, parameters, values)
+            if "settings" in options:
+                # The filter finds every setting of its class, whichever class it was given.
+                options["settings"] = checked_settings(values["settings"], settings, name)
             refuse_nan_motion(values["frame"])
             return function(*given, **options)
 
@@ -76,10 +81,35 @@ def takes(
 
 @functools.cache
 def _make_static(kind: type[Settings]) -> None:
-    """Let `jax.jit`, `jax.vmap` and others take settings by name, fixed when they trace."""
-    # A class that is known to jax already stays as it is.
-    with contextlib.suppress(ValueError):
+    """Let `jax.jit`, `jax.vmap` and others take settings by name, fixed when they trace.
+
+    Raises:
+        ValueError: jax knows the class already, and not as static.
+    """
+    try:
         jax.tree_util.register_static(kind)
+    except ValueError:
+        if jax.tree.leaves(kind()):
+            raise ValueError(
+                f"`{kind.__name__}` must be static, but its fields are registered with jax as "
+                f"arrays; remove @jax.tree_util.register_dataclass above {kind.__name__}."
+            ) from None
+
+
+def _known_to_jax(kind: type[Settings]) -> None:
+    """Make settings of the package static, and let `jax.export` write them."""
+    _make_static(kind)
+    jax.export.register_pytree_node_serialization(
+        kind,
+        serialized_name=f"{kind.__module__}.{kind.__qualname__}",
+        serialize_auxdata=lambda settings: json.dumps(dataclasses.asdict(settings)).encode(),
+        deserialize_auxdata=lambda written: kind(**json.loads(written)),
+    )
+
+
+# The public names of these classes load this module, so that settings are static from the first.
+_known_to_jax(Settings)
+_known_to_jax(GuertinSettings)
 
 
 def checking(function: Callable[..., Any], info: FilterInfo) -> Callable[..., Any]:
@@ -128,9 +158,7 @@ def _check_form(
         )
 
 
-def _check_types(
-    name: str, kind: type | None, settings: type[Settings], values: Mapping[str, Any]
-) -> None:
+def _check_types(name: str, kind: type | None, values: Mapping[str, Any]) -> None:
     """Reject values of another type."""
     check_frame_type(values["frame"])
     parameters = values.get("parameters")
@@ -141,8 +169,6 @@ def _check_types(
             f"`parameters` must be known to jax, but {given} is not; put "
             f"@jax.tree_util.register_dataclass above {given}."
         )
-    if "settings" in values:
-        checked_settings(values["settings"], settings, name)
     noise = values.get("noise")
     if noise is not None and not isinstance(noise, Noise):
         raise ValueError(

@@ -74,7 +74,7 @@ class FilterInfo:
         name: a Python name; `jaxblur.FILTERS` has the filter under it.
         summary: one line for the help.
         function: the filter, ``(frame, parameters, *, settings, noise=None) -> (H, W, C)``, jitted
-            with ``static_argnames=("settings",)`` or at least traceable.
+            or at least traceable. Settings are static for `jax.jit`, without ``static_argnames``.
         parameters: a frozen dataclass registered by ``jax.tree_util.register_dataclass``, each
             field made by `jaxblur.parameter`; None if the filter has none.
         settings: the default settings. Their class says which choices the filter has: `Settings`,

@@ -176,6 +176,10 @@ class _Job(NamedTuple):
         given = [getattr(self.arguments, role) for role in _roles(self.arguments)]
         return [path for path in given if path is not None]
 
+    def missing(self) -> pathlib.Path | None:
+        """The first file that is to be read and is not there; None if all are."""
+        return next((path for path in self.sources() if not path.exists()), None)
+
 
 def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
     """The arguments with files of a picture."""
@@ -204,9 +208,9 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
         with contextlib.suppress(exr.JaxblurIOError):
             names = views.names_of(here)
         found.append(_Job(here, number, files_of(here, outputs.path(number), names)))
-    if not any(job.arguments.input.is_file() for job in found):
+    if all(job.missing() for job in found):
         raise CommandError(
-            f"{found[0].arguments.input}: no such file, nor any other frame asked for"
+            f"{found[0].missing()}: no such file, nor any other frame asked for"
             f"{hint_of(sources['input'])}."
         )
     return found
@@ -268,6 +272,8 @@ def _made(job: _Job) -> _Made:
     """Read a picture and put it through the posts."""
     from jaxblur import exr
 
+    if missing := job.missing():
+        raise CommandError(f"{missing}: no such file.")
     source, depth = job.arguments.input, job.arguments.depth_from or job.arguments.input
     states = exr.FileStates.of([source, depth])
     pictures = [_read(eye) for eye in views.each(job.arguments)]
