@@ -80,19 +80,38 @@ def check(path: Path, folder: Path, whole: bool = False) -> dict[str, Any]:
 
 def _command(*arguments: str) -> str:
     """Run a command in this process: "read", "refused", or a description of the failure."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    out = io.StringIO()
+    with _captured_errors() as err, contextlib.redirect_stdout(out):
         try:
             status = command_line(arguments)
         except Exception as error:
             return f"raised {type(error).__name__}: {error}"
-    for text in (out.getvalue(), err.getvalue()):
+        err.seek(0)
+        said = err.read()
+    for text in (out.getvalue(), said):
         if any(not (c.isprintable() or c == "\n") for c in text):
             return "control characters in the output"
-    errors = err.getvalue().count("jaxblur: error: ")
+    errors = said.count("jaxblur: error: ")
     if status == 2 and errors == 1:
         return "refused"
     return "read" if status == 0 and errors == 0 else f"status {status}, {errors} errors"
+
+
+@contextlib.contextmanager
+def _captured_errors() -> Iterator[Any]:
+    """A file of all that this process and its children write to stderr.
+
+    A file whose header claims far more than it holds is read by a child.
+    """
+    kept = os.dup(2)
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            with contextlib.redirect_stderr(file):
+                yield file
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _read_and_write(path: Path, output: Path) -> str:
