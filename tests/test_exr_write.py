@@ -1,4 +1,4 @@
-"""Writing images: what is kept from the model file, and how it is stored."""
+"""Writing images: what is taken over from the file given as ``like``, and how values are stored."""
 
 import os
 import stat

@@ -99,9 +99,9 @@ def _command(*arguments: str) -> str:
 
 @contextlib.contextmanager
 def _captured_errors() -> Iterator[Any]:
-    """A file of all that this process and its children write to stderr.
+    """Collect what this process and its children write to stderr.
 
-    A file whose header claims far more than it holds is read by a child.
+    The command reads a file in a child process if its header claims far more than the file holds.
     """
     kept = os.dup(2)
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as file:

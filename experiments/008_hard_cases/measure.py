@@ -29,8 +29,8 @@ FLIPPED = 1e-4
 was reversed."""
 
 OUTLINES = ("layered",)
-"""Filters whose derivative by velocity contains outlines that move from pixel to pixel, while their
-value jumps there. It is compared with differences over whole steps in experiment 013."""
+"""Filters whose derivative by velocity contains outlines that move smoothly, while in their value
+outlines jump from pixel to pixel. Experiment 013 compares that derivative over longer steps."""
 
 Inputs = dict[str, Any]
 

@@ -90,17 +90,20 @@ def half_velocity(extent: Extent) -> Row:
 
 
 EXPOSURE = 4.0
-"""How much brighter the frames are made, so that some of their light is above 1."""
+"""Factor by which light is brightened before a camera's later steps, so that some is above 1."""
 
 
 def mapped(light: Any) -> jax.Array:
-    """Reinhard's curve, of light that is not brightened yet."""
+    """Light after brightening by `EXPOSURE` and Reinhard's curve, ``L / (1 + L)``."""
     light = EXPOSURE * jnp.asarray(light)
     return light / (1 + light)
 
 
 def bloomed(light: Any) -> np.ndarray:
-    """Light, and half of what is too bright spread by a Gaussian of a fortieth of the width."""
+    """Light with bloom: half of what `EXPOSURE` brings above 1 is spread by a Gaussian and added.
+
+    Its standard deviation is a fortieth of the width of the image.
+    """
     light = np.asarray(light)
     deviation = light.shape[1] / 40
     bright = np.maximum(light - 1 / EXPOSURE, 0)
@@ -110,11 +113,11 @@ def bloomed(light: Any) -> np.ndarray:
 def orders(
     chosen: Sequence[Example], after: Callable[[Any], Any], shown: Callable[[Any], Any]
 ) -> dict[str, tuple[float, float]]:
-    """PSNR where it moves, by scene: of blur, then another step; and of that step, then blur.
+    """PSNR in dB where it moves, by scene, for both orders: the blur first, and the step first.
 
     Args:
         chosen: the scenes.
-        after: the step that follows the exposure in a camera.
+        after: the step, which follows the exposure in a camera.
         shown: what is done to both results and the truth before they are compared.
     """
 
