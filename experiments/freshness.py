@@ -2,12 +2,14 @@
 
     python -m experiments.freshness                     # bring the lines of all pages up to date
     python -m experiments.freshness --made 016_order    # its figures have just been made
-    python -m experiments.freshness --same kernels --as TREE    # gives the bits of that checkout
+    python -m experiments.freshness --same kernels --as TREE    # gives the numbers of that checkout
 
 ``made.json`` holds, for each experiment, when its figures were made (the oldest, where they are of
 several times), and digests of the code that made them. A digest leaves out comments, docstrings and
-blanks. A part that was rewritten and gives the same bits, as `010_fast_paths.guard` shows, does not
-make figures older: ``same_bits.json`` holds, for such parts, the digests that count as one.
+blanks. A part that was rewritten and gives the same numbers, as `010_fast_paths.guard` shows, does
+not make figures older: ``same_numbers.json`` holds, for such parts, the digests that count as one.
+Numbers are the same if they differ by the rounding of float32 at most. Times may differ: a page
+whose times have changed is made again, or says so.
 """
 
 import argparse
@@ -25,7 +27,7 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 RECORD = FOLDER / "made.json"
-SAME_BITS = FOLDER / "same_bits.json"
+SAME_NUMBERS = FOLDER / "same_numbers.json"
 PACKAGE = FOLDER.parent / "jaxblur"
 
 PARTS = {
@@ -60,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         dest="former",
         type=Path,
         metavar="TREE",
-        help="the part --same gives every bit that it gave in this checkout",
+        help="the part --same gives the numbers that it gave in this checkout",
     )
     options = parser.parse_args(argv)
     if (options.same is None) != (options.former is None):
@@ -80,20 +82,20 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def record_same(part: str, former: Path) -> None:
-    """Record that a part gives the bits that it gave in another checkout."""
+    """Record that a part gives the numbers that it gave in another checkout."""
     pattern, _ = PARTS[part]
     pair = {digest(tree, pattern) for tree in (former / "jaxblur", PACKAGE)}
-    sets = read_same_bits()
+    sets = read_same_numbers()
     of_part = sets.get(part, [])
     joined = pair.union(*(known for known in of_part if pair & set(known)))
     apart = [known for known in of_part if not pair & set(known)]
     sets[part] = [*apart, sorted(joined)]
-    SAME_BITS.write_text(json.dumps(sets, indent=1) + "\n", encoding="utf-8")
+    SAME_NUMBERS.write_text(json.dumps(sets, indent=1) + "\n", encoding="utf-8")
 
 
-def read_same_bits() -> dict[str, list[list[str]]]:
-    """For each part, sets of digests of code that gives the same bits."""
-    return json.loads(SAME_BITS.read_text(encoding="utf-8"))
+def read_same_numbers() -> dict[str, list[list[str]]]:
+    """For each part, sets of digests of code that gives the same numbers."""
+    return json.loads(SAME_NUMBERS.read_text(encoding="utf-8"))
 
 
 def names() -> list[str]:
@@ -169,7 +171,7 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
     Returns:
         One line of Markdown.
     """
-    now, then, same = digests(name), entry["code"], read_same_bits()
+    now, then, same = digests(name), entry["code"], read_same_numbers()
     differs = [part for part in now if then.get(part) != now[part]]
     rewritten = [
         part

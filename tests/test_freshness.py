@@ -43,9 +43,9 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     monkeypatch.setattr(freshness, "PACKAGE", tmp_path)
     monkeypatch.setattr(freshness, "FOLDER", tmp_path / "experiments")
     monkeypatch.setattr(freshness, "RECORD", tmp_path / "made.json")
-    monkeypatch.setattr(freshness, "SAME_BITS", tmp_path / "same_bits.json")
+    monkeypatch.setattr(freshness, "SAME_NUMBERS", tmp_path / "same_numbers.json")
     freshness.RECORD.write_text("{}")
-    freshness.SAME_BITS.write_text("{}")
+    freshness.SAME_NUMBERS.write_text("{}")
     freshness.main(["--made", "030_new"])
     assert page.read_text().splitlines()[2].endswith(", made by the code as it is.*")
     code.write_text(CODE.replace("twice", "two times"))
@@ -56,7 +56,7 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     assert page.read_text().splitlines()[2].endswith(" Code that has changed since: scenes.*")
     assert page.read_text().endswith("\n\nText.\n")
 
-    # The same bits as in a checkout that has the former code.
+    # The same numbers as in a checkout that has the former code.
     former = tmp_path / "former" / "jaxblur" / "scenes" / "mesh.py"
     former.parent.mkdir(parents=True)
     former.write_text(CODE)

@@ -55,6 +55,31 @@ def choice(at, images, _, __):
     return Outcome((jnp.sqrt(speed),), where=speed > 1, otherwise=(-speed,))
 
 
+def left_out(at, images, _, __):
+    """A sum in which only some samples count."""
+    (speed,) = images.speed.here()
+
+    def counts(i):
+        return speed > i
+
+    def sample(i):
+        return jnp.where(counts(i), images.color.read_inside(at.row, i)[0], 0)
+
+    return Outcome((sum_over(3, sample, where=counts),), where=speed > 0)
+
+
+def chains(at, images, _, __):
+    """Places that are read, at places that are read, twice: the chains lie side by side."""
+
+    def color_after_two_reads(column):
+        (across,) = images.speed.read_inside(at.row, column)
+        (across,) = images.speed.read_inside(at.row, across.astype(jnp.int32))
+        return images.color.read_inside(at.row, across.astype(jnp.int32))[0]
+
+    middle = at.column * 2
+    return Outcome((color_after_two_reads(middle - 1) - color_after_two_reads(middle + 1),))
+
+
 def marks(at, images, _, __):
     """A scatter-max."""
     (speed,) = images.speed.here()
@@ -88,6 +113,8 @@ KERNELS = {
     "gather": lambda: emit.emit_gather(*stages_of(gather, jnp.float32(2)), kept=2),
     "loop": lambda: emit.emit_gather(*stages_of(loop)),
     "choice": lambda: emit.emit_gather(*stages_of(choice)),
+    "left_out": lambda: emit.emit_gather(*stages_of(left_out), kept=1),
+    "chains": lambda: emit.emit_gather(*stages_of(chains)),
     "marks": lambda: emit.emit_marks(*stages_of(marks)),
     "transpose": transpose,
 }

@@ -399,3 +399,42 @@ def test_samples_beyond_the_limit_are_left_out_of_values_and_derivatives():
     np.testing.assert_array_equal(total(plane), 3)
     np.testing.assert_array_equal(value, 3)
     np.testing.assert_array_equal(change, 3)
+
+
+def counting_program(at, images, _, __):
+    (a,) = images.a.here()
+    return Outcome((sum_over(9, lambda i: a + 0.0 * i, where=lambda i: (i < 3) | (a > 1)),))
+
+
+def test_samples_that_count_for_no_pixel_are_left_out_of_values_alone():
+    # Their terms should be 0; these are not, so that one sees how many were summed.
+    def total(plane, backend="native"):
+        images = Planes(Image(plane), Image(plane))
+        return each_pixel(counting_program, SIZE, images, backend=backend)
+
+    ones = jnp.ones((*SIZE, 1), jnp.float32)
+    np.testing.assert_array_equal(total(ones), 3)
+    np.testing.assert_array_equal(total(ones, "xla"), 9)
+    # One pixel for which all count has them counted for those beside it.
+    beside = np.asarray(total(ones.at[2, 1].set(2)))
+    np.testing.assert_array_equal(beside[2, :8, 0], [9, 18, 9, 9, 9, 9, 9, 9])
+    np.testing.assert_array_equal(beside[[0, 1, 3, 4]], 3)
+    _, change = jax.jvp(total, (ones,), (ones,))
+    np.testing.assert_array_equal(change, 9)
+
+
+def test_the_arctangent_is_right_to_two_units_in_the_last_place():
+    angles = np.linspace(-1.57, 1.57, 4000)
+    values = np.concatenate([np.tan(angles), np.tan(angles) * 1e-4, [0.0, -0.0, np.inf, -np.inf]])
+    values = jnp.asarray(values, jnp.float32).reshape(1, -1, 1)
+
+    def program(at, images, _, __):
+        return Outcome((jnp.arctan(images.a.here()[0]),))
+
+    planes = Planes(Image(values), Image(values))
+    found = np.asarray(each_pixel(program, values.shape[:2], planes, backend="native"))
+    expected = np.arctan(np.asarray(values, np.float64))
+    np.testing.assert_array_max_ulp(found, expected.astype(np.float32), maxulp=2)
+    assert np.signbit(found[0, -3, 0]) and not np.signbit(found[0, -4, 0])
+    nan = Planes(Image(values * jnp.nan), Image(values))
+    assert jnp.isnan(each_pixel(program, values.shape[:2], nan, backend="native")).all()

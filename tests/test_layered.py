@@ -335,12 +335,12 @@ def lit(here, there, shift=3):
     """`light_of` of a plain ground, that moves by some pixels from the neighbor to the frame."""
     height, width = here.shape[:2]
     ground = jnp.ones((height, width))
-    velocity = jnp.zeros((height, width, 2))
-    motion = jnp.broadcast_to(jnp.array([shift, 0.0, 0.0]), (height, width, 3))
+    half = jnp.float32(0.25)
+    velocity = jnp.broadcast_to(jnp.array([shift, 0.0]) * half, (height, width, 2))
     blurred, frame = (
         jaxblur.Frame(jnp.asarray(color, jnp.float32), ground, velocity) for color in (here, there)
     )
-    return np.asarray(light_of(blurred, frame, motion, "auto"))
+    return np.asarray(light_of(blurred, frame, 1, half, "auto"))
 
 
 def test_a_shadow_that_has_moved_is_another_light_and_texture_is_not():
@@ -362,7 +362,7 @@ def test_light_is_not_compared_where_the_frame_shows_another_surface():
     color = np.full((16, 16, 3), 0.5)
     near = jaxblur.Frame(jnp.asarray(color * 0.1), jnp.full((16, 16), 0.5), jnp.zeros((16, 16, 2)))
     ground = jaxblur.Frame(jnp.asarray(color), jnp.ones((16, 16)), jnp.zeros((16, 16, 2)))
-    light = light_of(near, ground, jnp.zeros((16, 16, 3)), "auto")
+    light = light_of(near, ground, 1, jnp.float32(0.25), "auto")
     np.testing.assert_allclose(light, 0.7)
 
 

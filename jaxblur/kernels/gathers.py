@@ -402,6 +402,7 @@ def _with_scalar_derivatives(stages: Stages, active: tuple[int, ...]) -> Stages:
         sample=Sample(sample, key("sample"), whole_sample.types * (1 + len(active))),
         finish=keyed("finish", finish),
         limit=limit,
+        counts=None,
         prepared=(stages.prepared, (stages.prepared,) * len(active)),
     )
 

@@ -205,7 +205,12 @@ sum_primitive.def_abstract_eval(
 )
 
 
-def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = None) -> T:
+def sum_over(
+    count: int,
+    sample: Callable[[Array], T],
+    limit: Array | None = None,
+    where: Callable[[Array], Array] | None = None,
+) -> T:
     """The sum ``sum_{i < count} sample(i)``, one in a program at most.
 
     Args:
@@ -214,6 +219,9 @@ def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = Non
             that the program has computed before.
         limit: number of samples of this pixel; the terms of samples from it on must be 0, so that
             they may be left out. None where all N count.
+        where: from the number of a sample to whether it counts for this pixel; the terms of the
+            others must be 0, so that those may be left out that count for no pixel nearby. None
+            where all count.
 
     Returns:
         The sums, in the structure of the terms.
@@ -235,8 +243,16 @@ def sum_over(count: int, sample: Callable[[Array], T], limit: Array | None = Non
 
     closed = inlined(jax.make_jaxpr(flat)(jax.ShapeDtypeStruct((), jnp.int32)))
     limits = [] if limit is None else [jnp.asarray(limit)]
+    condition, conditions = None, []
+    if where is not None:
+        traced = inlined(jax.make_jaxpr(where)(jax.ShapeDtypeStruct((), jnp.int32)))
+        condition, conditions = traced.jaxpr, traced.consts
     sums = sum_primitive.bind(
-        *closed.consts, *limits, jaxpr=closed.jaxpr, count=count, limited=bool(limits)
+        *(*closed.consts, *conditions, *limits),
+        jaxpr=closed.jaxpr,
+        count=count,
+        limited=bool(limits),
+        where=condition,
     )
     return jax.tree.unflatten(structure[0], sums)
 

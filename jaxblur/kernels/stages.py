@@ -111,6 +111,8 @@ class Stages(NamedTuple):
         sample: (index, place, prepared, tables) to the terms of a sample; None without a sum.
         finish: (place, sums, prepared, local) to the results.
         limit: from prepared to the number of samples; None where all count.
+        counts: (index, place, prepared, tables) to whether a sample may be other than 0; None where
+            all may.
         samples: number of samples N.
         prepared: what the values that `prepare` returns are, or those chosen between them and
             `otherwise`; in the same structure, of tuples.
@@ -122,6 +124,7 @@ class Stages(NamedTuple):
     sample: Sample | None = None
     finish: Callable[..., Any] | None = None
     limit: Callable[..., Any] | None = None
+    counts: Callable[..., Any] | None = None
     samples: int = 1
     prepared: Any = ()
 

@@ -311,6 +311,7 @@ class _Cut:
             ),
             finish=self._keyed("finish", self._finish),
             limit=self._keyed("limit", self._limit) if loop.params["limited"] else None,
+            counts=self._keyed("counts", self._counts) if loop.params.get("where") else None,
             samples=loop.params["count"],
             prepared=tuple(
                 Prepared(_real(variable.aval.dtype), variable in self.varying)
@@ -387,11 +388,15 @@ class _Cut:
 
     def _sample(self, index: Any, place: Place, prepared: Any, tables: Any) -> list[Any]:
         equation = self.jaxpr.eqns[self.loop or 0]
-        look = evaluate([], self._late(place, prepared, None, tables))
-        inner, operands = equation.params["jaxpr"], equation.invars
-        operands = operands[: len(inner.constvars)]
-        values = {v: look(o) for v, o in zip(inner.constvars, operands, strict=True)}
-        return results_of(inner.eqns, values | {inner.invars[0]: index}, inner.outvars)
+        values = self._late(place, prepared, None, tables)
+        return _of_sample(equation.params["jaxpr"], equation.invars, values, index)
+
+    def _counts(self, index: Any, place: Place, prepared: Any, tables: Any) -> Any:
+        equation = self.jaxpr.eqns[self.loop or 0]
+        values = self._late(place, prepared, None, tables)
+        operands = equation.invars[len(equation.params["jaxpr"].constvars) :]
+        (counts,) = _of_sample(equation.params["where"], operands, values, index)
+        return counts
 
     def _limit(self, prepared: Any) -> Any:
         limit = self.jaxpr.eqns[self.loop or 0].invars[-1]
@@ -404,6 +409,16 @@ class _Cut:
         values = self._late(place, prepared, local, None)
         values |= zip(loop.outvars, sums, strict=True)
         return self._run(self.after, values, self.values)
+
+
+def _of_sample(
+    inner: Any, operands: Sequence[Any], values: dict[Any, Any], index: Any
+) -> list[Any]:
+    """The results of a jaxpr for the number of a sample; the first operands are its constants."""
+    look = evaluate([], values)
+    operands = operands[: len(inner.constvars)]
+    known = {v: look(o) for v, o in zip(inner.constvars, operands, strict=True)}
+    return results_of(inner.eqns, known | {inner.invars[0]: index}, inner.outvars)
 
 
 def _add_depending(equations: Iterable[Any], varying: set[Any]) -> None:

@@ -159,7 +159,10 @@ def background_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> O
         missing = jnp.where(owner.exists, 0, jnp.ones_like(own.x))
         return Sums(tuple(share * channel for channel in color), share, missing)
 
-    sums = sum_over(plan.maps.total, at_time)
+    def lacks(k: Int[Array, ""]) -> Array:
+        return ~read_owner(at, images.owners, k, own, plan.coding, (height, width)).exists
+
+    sums = sum_over(plan.maps.total, at_time, where=lacks)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
     (state,) = images.states.here()
@@ -363,7 +366,7 @@ def known_colors(
         there all the time, or in every map.
     """
     height, width = images.paths.values.shape[:2]
-    kept = jnp.zeros((height, width, images.color.channels + 1), images.color.values.dtype)
+    kept = jnp.zeros((height, width, 1), images.color.values.dtype)
     return each_pixel(
         *(program, (height, width), images, inputs, plan),
         kept=kept,

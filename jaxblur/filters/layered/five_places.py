@@ -6,6 +6,7 @@ the frame itself than an arc through three places says. Where a neighbor shows t
 vectors lead one frame farther.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -30,22 +31,13 @@ class Images(NamedTuple):
 
     Attributes:
         path: (H, W, 4) displacement at opening and closing.
-        before: (H, W, 4) displacement, of a point of the frame before, to its places one frame
-            before and after that; None without one.
-        after: likewise of the frame after.
+        before: (H, W, 4) likewise, of the frame before; None without one.
+        after: (H, W, 4) likewise, of the frame after.
     """
 
     path: Image
     before: Image | None
     after: Image | None
-
-
-def steps_of_pixel(at: At, path: Image, half: Array, _: None) -> Outcome:
-    """The displacement of a pixel to the frame before and to the frame after."""
-    ends = path.here()
-    return Outcome(
-        (*displacement_at(ends, -1 / half, half), *displacement_at(ends, 1 / half, half))
-    )
 
 
 def path_of_pixel(at: At, images: Images, half: Array, _: None) -> Outcome:
@@ -74,7 +66,8 @@ def path_of_pixel(at: At, images: Images, half: Array, _: None) -> Outcome:
         share = safe_divide(safe_norm(*end), safe_norm(*change))
         share = jnp.where(share < 1, share, 1)
         changed += [part + share * more for part, more in zip(end, change, strict=True)]
-    return Outcome(tuple(changed))
+    moves = functools.reduce(jnp.logical_or, [part != 0 for part in ends])
+    return Outcome(tuple(changed), where=moves, otherwise=ends)
 
 
 def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, half: Array) -> Vector:
@@ -89,7 +82,9 @@ def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, hal
     column = at.column + jnp.floor(jnp.where(near, x, 0) + 0.5).astype(jnp.int32)
     inside = near & (row >= 0) & (row < height) & (column >= 0) & (column < width)
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    previous_x, previous_y, next_x, next_y = neighbor.read_inside(row, column)
+    its_ends = neighbor.read_inside(row, column)
+    previous_x, previous_y = displacement_at(its_ends, -1 / half, half)
+    next_x, next_y = displacement_at(its_ends, 1 / half, half)
     back = (previous_x, previous_y) if side > 0 else (next_x, next_y)
     miss = safe_norm(back[0] + x, back[1] + y)
     known = inside & (miss < NEAR + RELATIVE * safe_norm(x, y))
@@ -121,14 +116,8 @@ def through_five_places(
         return frame
     height, width = frame.depth.shape
     half = jnp.asarray(shutter, frame.color.dtype) / 2
-
-    def steps(neighbor: Frame | None) -> Image | None:
-        if neighbor is None:
-            return None
-        path = Image(_as_image(neighbor))
-        return Image(each_pixel(steps_of_pixel, (height, width), path, half, backend=backend))
-
-    images = Images(Image(_as_image(frame)), *map(steps, near))
+    others = (None if one is None else Image(_as_image(one)) for one in near)
+    images = Images(Image(_as_image(frame)), *others)
     path = each_pixel(path_of_pixel, (height, width), images, half, backend=backend)
     return frame.replace(path=path.reshape(height, width, 2, 2))
 

@@ -96,7 +96,10 @@ def hole_of_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome
         share = missing * known
         return Sums(tuple(share * channel for channel in color), share, missing)
 
-    sums = sum_over(plan.maps.total, in_map)
+    def is_hole(k: Int[Array, ""]) -> Array:
+        return images.owners.read_inside(k * size[0] + at.row, at.column)[0] == 0
+
+    sums = sum_over(plan.maps.total, in_map, where=is_hole)
     inverse = 1 / jnp.maximum(sums.missing, 1)
     values = (*(channel * inverse for channel in sums.color), sums.known * inverse)
     (state,) = images.states.here()

@@ -1,17 +1,17 @@
 """The frames before and after, as `layered` reads them: where their points are in the exposure."""
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from ...frame import Frame
-from ...kernels import At, Image, Outcome, each_pixel
+from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...safe_math import safe_divide, safe_norm
 from ...settings import Backend
 from .._weights import finite_depth
@@ -81,7 +81,10 @@ def motion_of_pixel(
     (depth,) = images.depth.here()
     times, half = inputs
     places = [part for time in times for part in displacement_at(vectors, time, half)]
-    return Outcome((*places, jnp.log(finite_depth(depth))))
+    log_depth = jnp.log(finite_depth(depth))
+    rests = [jnp.zeros_like(place) for place in places]
+    moves = functools.reduce(jnp.logical_or, [part != 0 for part in vectors])
+    return Outcome((*places, log_depth), where=moves, otherwise=(*rests, log_depth))
 
 
 class Both(NamedTuple):
@@ -92,34 +95,50 @@ class Both(NamedTuple):
         depth: (H, W, 1) of the blurred frame.
         valid: (H, W, 1) where the blurred frame has light, or None.
         there: (H, W, C) picture of the neighbor.
-        motion: (H, W, 3) displacement of its pixels to the time of the blurred frame, pixels, and
-            log depth.
+        vectors: of the neighbor.
     """
 
     here: Image
     depth: Image
     valid: Image | None
     there: Image
-    motion: Image
+    vectors: Vectors
 
 
-def common_light(at: At, images: Both, _: None, __: None) -> Outcome:
-    """Whether both frames show a pixel's point, and the square roots of its light in both."""
-    x, y, log_depth = images.motion.here()
+def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> Outcome:
+    """The number of a block's points that both frames show, and the roots of their light, summed.
+
+    Args:
+        at: the block.
+        images: see `Both`.
+        inputs: time of the blurred frame for `displacement_at`, and half of the exposure.
+    """
     height, width = jnp.asarray(images.here.height), jnp.asarray(images.here.width)
-    # The nearest texel, for a mean of two would differ from a texel.
-    row = at.row + jnp.floor(y + 0.5).astype(jnp.int32)
-    column = at.column + jnp.floor(x + 0.5).astype(jnp.int32)
-    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    (depth,) = images.depth.read_inside(row, column)
-    both = inside & (jnp.abs(jnp.log(finite_depth(depth)) - log_depth) < _ONE_SURFACE)
-    if images.valid is not None:
-        (valid,) = images.valid.read_inside(row, column)
-        both = both & (valid > 0)
-    lights = (*images.here.read_inside(row, column), *images.there.here())
-    roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in lights]
-    return Outcome((both.astype(x.dtype), *roots))
+
+    def point(i: Int[Array, ""]) -> tuple[Array, ...]:
+        own_row = at.row * _BLOCK + (i >> _BLOCK_BITS)
+        own_column = at.column * _BLOCK + (i & (_BLOCK - 1))
+        exists = (own_row < height) & (own_column < width)
+        own_row, own_column = jnp.minimum(own_row, height - 1), jnp.minimum(own_column, width - 1)
+        x, y = displacement_at(images.vectors.motion.read_inside(own_row, own_column), *inputs)
+        (own_depth,) = images.vectors.depth.read_inside(own_row, own_column)
+        # The nearest texel, for a mean of two would differ from a texel.
+        row = own_row + jnp.floor(y + 0.5).astype(jnp.int32)
+        column = own_column + jnp.floor(x + 0.5).astype(jnp.int32)
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
+        (depth,) = images.depth.read_inside(row, column)
+        apart = jnp.log(finite_depth(depth)) - jnp.log(finite_depth(own_depth))
+        both = exists & inside & (jnp.abs(apart) < _ONE_SURFACE)
+        if images.valid is not None:
+            (valid,) = images.valid.read_inside(row, column)
+            both = both & (valid > 0)
+        here = images.here.read_inside(row, column)
+        there = images.there.read_inside(own_row, own_column)
+        roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in (*here, *there)]
+        return both.astype(x.dtype), *roots
+
+    return Outcome(sum_over(_BLOCK * _BLOCK, point))
 
 
 def neighbor_of(
@@ -139,18 +158,22 @@ def neighbor_of(
     """
     height, width = frame.depth.shape
     half = jnp.asarray(shutter, frame.color.dtype) / 2
-    times = [(frames + side * half) / half for side in (-1, 1, 0)]
-    vectors = frame.velocity if frame.path is None else frame.path.reshape(height, width, 4)
-    images = Vectors(Image(vectors), Image(frame.depth[..., None]))
+    times = [(frames + side * half) / half for side in (-1, 1)]
+    vectors = vectors_of(frame)
     inputs = (times, half)
-    motion = each_pixel(motion_of_pixel, (height, width), images, inputs, None, backend=backend)
-    light = light_of(blurred, frame, motion[..., 4:], backend)
-    ends = jnp.concatenate([motion[..., :4], motion[..., 6:]], axis=-1)
-    return Neighbor(Image(frame.color), Image(ends), Image(light))
+    motion = each_pixel(motion_of_pixel, (height, width), vectors, inputs, None, backend=backend)
+    light = light_of(blurred, frame, frames, half, backend)
+    return Neighbor(Image(frame.color), Image(motion), Image(light))
+
+
+def vectors_of(frame: Frame) -> Vectors:
+    """The vectors of a frame, as images."""
+    vectors = frame.velocity if frame.path is None else frame.path.reshape(*frame.depth.shape, 4)
+    return Vectors(Image(vectors), Image(frame.depth))
 
 
 def light_of(
-    blurred: Frame, frame: Frame, motion: Float[Array, "height width 3"], backend: Backend
+    blurred: Frame, frame: Frame, frames: int, half: Array, backend: Backend
 ) -> Float[Array, "block_rows block_columns 1"]:
     """How far a neighbor shows its points in the light of the blurred frame.
 
@@ -163,39 +186,32 @@ def light_of(
     Args:
         blurred: the blurred frame.
         frame: the neighbor.
-        motion: (H, W, 3) displacement of its points to the time of the blurred frame, pixels, and
-            their log depth.
+        frames: as `neighbor_of`.
+        half: half of the exposure, in frames.
         backend: see `jaxblur.Settings`.
 
     Returns:
         (ceil(H/8), ceil(W/8), 1) for the blocks of the neighbor; 0.7 where both frames show hardly
         a point in common. It has no derivative.
     """
+    blurred, frame = lax.stop_gradient((blurred, frame))
     pictures = [blurred.color, frame.color]
     if blurred.guide is not None and frame.guide is not None:
         pictures = [blurred.guide, frame.guide]
-    here, there = (Image(lax.stop_gradient(picture)) for picture in pictures)
+    here, there = map(Image, pictures)
     # A masked frame has the mask as the last channel of its color.
     valid = None if blurred.valid is None else Image(blurred.color[..., -1:])
-    depth, motion = (lax.stop_gradient(one) for one in (blurred.depth[..., None], motion))
-    images = Both(here, Image(depth), valid, there, Image(motion))
-    (height, width), channels = frame.depth.shape, here.channels
-    lights = _around(each_pixel(common_light, (height, width), images, backend=backend))
+    images = Both(here, Image(blurred.depth), valid, there, vectors_of(frame))
+    height, width = frame.depth.shape
+    blocks, channels = (-(-height // _BLOCK), -(-width // _BLOCK)), here.channels
+    lights = each_pixel(common_light, blocks, images, (frames / half, half), backend=backend)
+    lights = lax.reduce_window(lights, 0.0, lax.add, (3, 3, 1), (1, 1, 1), "SAME")
     count = lights[..., :1]
     mine, other = lights[..., 1 : 1 + channels], lights[..., 1 + channels :]
     apart = jnp.abs(mine - other) / (mine + other + _DARK * count + 1e-9)
     most = apart.max(axis=-1, keepdims=True)
     light = _MOST * jnp.clip((_OTHER_LIGHT - most) / (_OTHER_LIGHT - _SAME_LIGHT), 0, 1)
     return lax.stop_gradient(jnp.where(count > _FEWEST, light, _UNKNOWN_LIGHT))
-
-
-def _around(values: jax.Array) -> jax.Array:
-    """Sums over each block of 8 x 8 pixels and the eight around it; (rows, columns, C)."""
-    height, width, _ = values.shape
-    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
-    filled = ((0, rows * _BLOCK - height), (0, columns * _BLOCK - width), (0, 0))
-    blocks = jnp.pad(values, filled).reshape(rows, _BLOCK, columns, _BLOCK, -1).sum((1, 3))
-    return lax.reduce_window(blocks, 0.0, lax.add, (3, 3, 1), (1, 1, 1), "SAME")
 
 
 def displacement_at(

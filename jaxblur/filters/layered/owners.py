@@ -45,26 +45,18 @@ _MOST_LEVELS = 1 << 23
 
 
 class Drawn(NamedTuple):
-    """What is drawn, planes (H, W); each pixel is read for each of the times.
+    """What is drawn.
 
     Attributes:
-        x: as `.paths.Path`.
-        y: as `.paths.Path`.
-        bend_x: as `.paths.Path`.
-        bend_y: as `.paths.Path`.
-        level: of the depth, see `Coding.level`.
+        paths: (H, W, 5), or with a lens (H, W, 6), see `.paths.Path`.
+        level: (H, W) of the depth, see `Coding.level`.
         times: of the shutter; None for the nominal one.
-        disc: as `.paths.Path`; None without a lens.
         points: (1, T, 2) of the unit disc, from which the maps are seen; None without a lens.
     """
 
-    x: Image
-    y: Image
-    bend_x: Image
-    bend_y: Image
+    paths: Image
     level: Image
     times: Times | None
-    disc: Image | None
     points: Image | None
 
 
@@ -132,10 +124,9 @@ class Drawing(NamedTuple):
 
 def draw_pixel(at: At, images: Drawn, span: Span | None, drawing: Drawing) -> Outcome:
     """Pass L3: a pixel leaves a mark at its place at each of the times."""
-    x, y, bend_x, bend_y, level = (image.here()[0] for image in images[:5])
-    disc = None if images.disc is None else images.disc.here()[0]
-    path = Path(x, y, level, bend_x, bend_y, disc)
-    height, width = images.x.height, images.x.width
+    path = Path(*images.paths.here())
+    (level,) = images.level.here()
+    height, width = images.paths.height, images.paths.width
     # With a lens, pixels at rest leave marks too: a place without a mark is then a hole.
     draws = moves(path) | drawing.maps.through_lens
 
@@ -202,13 +193,11 @@ def owners_of(
             "fewer samples, or blur parts of the frame."
         )
     drawing = Drawing(maps, Coding.of(settings.radius))
-    path = Path(*jnp.moveaxis(lax.stop_gradient(paths), -1, 0))
-    level = drawing.coding.level(path.log_depth)
-    x, y, bend_x, bend_y, level = map(Image, (path.x, path.y, path.bend_x, path.bend_y, level))
     clock = lax.stop_gradient(clock)
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    disc = None if path.disc is None else Image(path.disc)
-    images = Drawn(x, y, bend_x, bend_y, level, times, disc, points)
+    paths = lax.stop_gradient(paths)
+    level = Image(drawing.coding.level(paths[..., 2]))
+    images = Drawn(Image(paths), level, times, points)
     marks = largest_marks(
         *(draw_pixel, (height, width), images, length, span, drawing),
         apart=maps.total,

@@ -176,6 +176,10 @@ class _Program:
             code = f"to_ints({code})" if limit.dtype == "float32" else code
             self.writer.pixel.statements.append(f"last = largest({code} & moving);")
 
+    def leave_out_unless(self, counts: Value) -> None:
+        """Leave out samples that count for no pixel of a vector."""
+        self.writer.tap.statements.append(f"if (!any({_wide(counts)} & moving)) continue;")
+
     def sums(self, terms: Sequence[Value]) -> list[Scalar]:
         """Sum terms over the samples."""
         tap, sums = self.writer.tap, []
@@ -208,7 +212,7 @@ class _Program:
         self._rows_of_three = [0]
         for place, mark in marks:
             self.writer.tap.statements.append(
-                f"keep_larger(tables[0], {_wide(place)}, {_wide(mark)}, lanes);"
+                f"keep_larger(tables[0], {_wide(place)}, {_wide(mark)});"
             )
 
     def kernel(
@@ -319,11 +323,12 @@ def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: boo
         limit, _ = program.write(stages.limit, (prepared_shapes,), (prepared,))
     program.loop(stages.samples, limit)
     place, local, tables, _ = shapes
-    terms, term_shapes = program.write(
-        stages.sample,
-        (_INDEX, place, prepared_shapes, tables),
-        (_SAMPLE_NUMBER, program.place, prepared, program.tables),
-    )
+    shapes_of_sample = _INDEX, place, prepared_shapes, tables
+    of_sample = _SAMPLE_NUMBER, program.place, prepared, program.tables
+    if stages.counts is not None:
+        counts, _ = program.write(stages.counts, shapes_of_sample, of_sample)
+        program.leave_out_unless(counts)
+    terms, term_shapes = program.write(stages.sample, shapes_of_sample, of_sample)
     sums = program.sums(list(terms))
     results, _ = program.write(
         stages.finish,

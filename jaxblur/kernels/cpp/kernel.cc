@@ -6,6 +6,9 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
 
 #include "xla/ffi/api/c_api.h"
 
@@ -49,6 +52,16 @@ struct Job {
   int parts_done;
 };
 
+/* Four channels of each lane. */
+static inline void store_rows(float* result, const Floats* columns) {
+  Floats rows[4];
+  make_rows(columns, rows);
+  float memory[4][LANES];
+  memcpy(memory, rows, sizeof memory);
+  for (int lane = 0; lane < LANES; ++lane)
+    memcpy(result + lane * RESULTS, memory[lane % 4] + lane / 4 * 4, 16);
+}
+
 /* Results of the lanes that move; what is kept by the others. */
 static inline void store_results(const Job* job, int64_t pixel, Ints moving,
                                  const Floats* results, int lanes, bool more) {
@@ -60,24 +73,24 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
     memcpy(job->results[0] + pixel * KEPT, job->kept + pixel * KEPT, sizeof(float) * KEPT * lanes);
     return;
   }
-  if (RESULTS <= 4 && more) {
-    const Ints own = ((int32_t)pixel + lane_numbers()) * (int32_t)KEPT;
-    Floats columns[4] = {}, rows[4];
-    for (int k = 0; k < RESULTS; ++k)
-      columns[k] = !KEPT ? results[k] : moving ? results[k] : k < KEPT ? read(job->kept, own + k) : Floats{};
-    make_rows(columns, rows);
-    float memory[4][LANES];
-    memcpy(memory, rows, sizeof memory);
-    /* A row of four each, the end of which the next one overwrites, at last those of the pixels
-       which this thread computes next. */
-    for (int lane = 0; lane < LANES; ++lane)
-      memcpy(job->results[0] + (pixel + lane) * RESULTS, memory[lane % 4] + lane / 4 * 4, 16);
-    return;
+  float* result = job->results[0] + pixel * RESULTS;
+  if (RESULTS > 4 ? lanes == LANES : more) {
+    Floats columns[RESULTS + 4] = {};
+    for (int k = 0; k < RESULTS; ++k) columns[k] = results[k];
+    if (KEPT && any(~moving)) {
+      const Ints own = ((int32_t)pixel + lane_numbers()) * (int32_t)KEPT;
+      for (int k = 0; k < RESULTS; ++k)
+        columns[k] = moving ? columns[k] : k < KEPT ? read(job->kept, own + k) : Floats{};
+    }
+    /* Fewer than four channels: the end of a row is overwritten by the next one, at last by those
+       of the pixels which this thread computes next. More: the last four may be written twice. */
+    if (RESULTS <= 4) return store_rows(result, columns);
+    for (int start = 0; start < RESULTS - 4; start += 4) store_rows(result + start, columns + start);
+    return store_rows(result + RESULTS - 4, columns + RESULTS - 4);
   }
   float values[RESULTS + 1][LANES];
   memcpy(values, results, sizeof values);
-  for (int lane = 0; lane < lanes; ++lane) {
-    float* result = job->results[0] + (pixel + lane) * RESULTS;
+  for (int lane = 0; lane < lanes; ++lane, result += RESULTS) {
     const float* kept = job->kept + (pixel + lane) * KEPT;
     for (int k = 0; k < RESULTS; ++k)
       result[k] = !KEPT || moving[lane] ? values[k][lane] : k < KEPT ? kept[k] : 0.0f;
@@ -131,6 +144,10 @@ static void sum_piece(const Job* job, Element* const* tables, int piece, int32_t
 static void sum_part(const Job* job, int part) {
   if (APART) {
     const int32_t begin = part * APART / job->parts, end = (part + 1) * APART / job->parts;
+    for (int k = 0; k < TABLES; ++k) {
+      const int64_t share = job->table_sizes[k] / APART;
+      memset(job->tables[k] + begin * share, 0, (end - begin) * share * sizeof(Element));
+    }
     for (int piece = 0; piece < job->pieces; ++piece)
       sum_piece(job, job->tables, piece, begin, end);
     return;
@@ -204,7 +221,8 @@ static bool make_tables(Job* job) {
       enough = enough && table;
     }
   }
-  for (int k = 0; k < TABLES; ++k) memset(job->tables[k], 0, job->table_sizes[k] * sizeof(Element));
+  for (int k = 0; k < TABLES && !APART; ++k)
+    memset(job->tables[k], 0, job->table_sizes[k] * sizeof(Element));
   return enough;
 }
 
@@ -282,6 +300,18 @@ static void* data_of(const XLA_FFI_Buffer* buffer) { return buffer->data; }
 static void put_back(const XLA_FFI_Buffer*, void*, bool) {}
 #endif
 
+/* Asks for large pages under a result: its memory is often new, and a page of 4 KiB costs as much
+   when it is first touched as the program takes for dozens of pixels. */
+static void ask_for_large_pages(void* data, const XLA_FFI_Buffer* buffer) {
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+  const uintptr_t page = 1 << 21, start = (uintptr_t)data & -page;
+  const uintptr_t end = ((uintptr_t)data + elements_of(buffer) * sizeof(float) + page - 1) & -page;
+  if (start < end) madvise((void*)start, end - start, MADV_HUGEPAGE);
+#else
+  (void)data, (void)buffer;
+#endif
+}
+
 static XLA_FFI_Error* out_of_memory(const XLA_FFI_Api* api) {
   XLA_FFI_Error_Create_Args arguments = {};
   arguments.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
@@ -316,8 +346,11 @@ extern "C" XLA_FFI_Error* @NAME@(XLA_FFI_CallFrame* frame) {
   job->arguments = arguments;
   const int buffers = IMAGE ? 1 : RESULTS;
   void* results[RESULTS + TABLES + 1];
-  for (int k = 0; k < buffers + TABLES; ++k)
-    results[k] = data_of((XLA_FFI_Buffer*)frame->rets.rets[k]);
+  for (int k = 0; k < buffers + TABLES; ++k) {
+    const XLA_FFI_Buffer* buffer = (XLA_FFI_Buffer*)frame->rets.rets[k];
+    results[k] = data_of(buffer);
+    ask_for_large_pages(results[k], buffer);
+  }
   for (int k = 0; k < buffers; ++k) job->results[k] = (float*)results[k];
   for (int k = 0; k < TABLES; ++k) {
     job->tables[k] = (Element*)results[buffers + k];

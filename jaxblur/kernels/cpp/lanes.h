@@ -111,7 +111,6 @@ static inline Floats fabsf(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
     return result;                                              \
   }
 LANE_BY_LANE(ceilf)
-LANE_BY_LANE(atanf)
 LANE_BY_LANE(cosf)
 LANE_BY_LANE(expf)
 LANE_BY_LANE(log1pf)
@@ -119,6 +118,22 @@ LANE_BY_LANE(rintf)
 LANE_BY_LANE(roundf)
 LANE_BY_LANE(sqrtf)
 LANE_BY_LANE(tanhf)
+
+/* Arctangent, within two units in the last place [Cephes]: by a polynomial below tan(pi/8), to which
+   larger values are brought by atan(x) = pi/4 + atan((x - 1)/(x + 1)) = pi/2 - atan(1/x). */
+static inline Floats atanf(Floats a) {
+  const Floats x = fabsf(a);
+  const Ints large = x > 2.414213562f, medium = x > 0.4142135624f;
+  const Floats above = large ? wide(-1.0f) : medium ? x - 1.0f : x;
+  const Floats below = large ? x : medium ? x + 1.0f : wide(1.0f);
+  const Floats start = large ? wide(1.5707963268f) : medium ? wide(0.7853981634f) : Floats{};
+  const Floats z = above / below, s = z * z;
+  Floats y = 8.05374449538e-2f * s - 1.38776856032e-1f;
+  y = y * s + 1.99777106478e-1f;
+  y = y * s - 3.33329491539e-1f;
+  y = start + (y * s * z + z);
+  return (Floats)((Ints)y | ((Ints)a & INT32_MIN));
+}
 
 /* Sine, within 1e-7 up to 1000: of x - n pi, in [-pi/2, pi/2], by a polynomial. */
 static inline Floats sinf(Floats a) {
@@ -230,24 +245,48 @@ static inline Ints read(const int32_t* table, Ints index) {
 #if !defined(__AVX512F__)
 static inline Ints floor_to_ints(Floats a) { return to_ints(floorf(a)); }
 #endif
-#if !defined(__AVX512F__) || defined(SANITIZED)
+#if (!defined(__AVX512F__) && !defined(__AVX2__)) || defined(SANITIZED)
 static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
   first = read(table, index);
   second = read(table, index + 1);
 }
 #endif
 
-/* Three or four neighbors in memory: a load of a row for each lane and a transposition take half of
-   the time of gather instructions. */
+/* Several neighbors in memory: a load of a row for each lane and a transposition take half of the
+   time of gather instructions. */
 #if (defined(__AVX512F__) || defined(__AVX2__)) && !defined(SANITIZED)
+/* The places of all lanes, none of which is negative. With 8 lanes two at a time out of the vector,
+   which takes less time than one by one, or through memory. */
+#if defined(__AVX512F__)
+typedef int32_t Place;
+#else
+typedef uint64_t Place;
+#endif
+struct Places {
+  Place of[LANES];
+  explicit Places(Ints index) {
+#if defined(__AVX512F__)
+    memcpy(of, &index, sizeof of);
+#else
+    for (int half = 0; half < 2; ++half) {
+      const __m128i four = half ? _mm256_extracti128_si256((__m256i)index, 1)
+                                : _mm256_castsi256_si128((__m256i)index);
+      const uint64_t low = _mm_cvtsi128_si64(four), high = _mm_extract_epi64(four, 1);
+      Place* place = of + 4 * half;
+      place[0] = (uint32_t)low, place[1] = low >> 32;
+      place[2] = (uint32_t)high, place[3] = high >> 32;
+    }
+#endif
+  }
+};
 static inline __m128 row_of_three(const float* row) {
-  return _mm_movelh_ps(_mm_castpd_ps(_mm_load_sd((const double*)row)), _mm_load_ss(row + 2));
+  return _mm_maskload_ps(row, _mm_setr_epi32(-1, -1, -1, 0));
 }
 static inline __m128 row_of_four(const float* row) { return _mm_loadu_ps(row); }
 #if defined(__AVX512F__)
 typedef __m512 Wide;
 template <__m128 (*ROW)(const float*)>
-static inline Wide rows_of(const float* table, const int32_t* place) {
+static inline Wide rows_of(const float* table, const Place* place) {
   Wide rows = _mm512_castps128_ps512(ROW(table + place[0]));
   rows = _mm512_insertf32x4(rows, ROW(table + place[4]), 1);
   rows = _mm512_insertf32x4(rows, ROW(table + place[8]), 2);
@@ -264,7 +303,7 @@ static inline Floats high_pairs(Wide a, Wide b) {
 #else
 typedef __m256 Wide;
 template <__m128 (*ROW)(const float*)>
-static inline Wide rows_of(const float* table, const int32_t* place) {
+static inline Wide rows_of(const float* table, const Place* place) {
   const Wide rows = _mm256_castps128_ps256(ROW(table + place[0]));
   return _mm256_insertf128_ps(rows, ROW(table + place[4]), 1);
 }
@@ -277,12 +316,24 @@ static inline Floats high_pairs(Wide a, Wide b) {
   return (Floats)_mm256_unpackhi_pd((__m256d)a, (__m256d)b);
 }
 #endif
+#if !defined(__AVX512F__)
+static inline __m128 two_pairs(const float* table, const Place* place) {
+  const __m128 low = _mm_castpd_ps(_mm_load_sd((const double*)(table + place[0])));
+  return _mm_loadh_pi(low, (const __m64*)(table + place[1]));
+}
+static inline void read(const float* table, Ints index, Floats& first, Floats& second) {
+  const Places places(index);
+  const Place* of = places.of;
+  const __m256 low = _mm256_setr_m128(two_pairs(table, of), two_pairs(table, of + 4));
+  const __m256 high = _mm256_setr_m128(two_pairs(table, of + 2), two_pairs(table, of + 6));
+  first = (Floats)_mm256_shuffle_ps(low, high, 0x88);
+  second = (Floats)_mm256_shuffle_ps(low, high, 0xdd);
+}
+#endif
 template <__m128 (*ROW)(const float*)>
-static inline void read_rows(const float* table, Ints index, Floats* columns) {
-  int32_t places[LANES];
-  memcpy(places, &index, sizeof places);
-  const Wide row[4] = {rows_of<ROW>(table, places), rows_of<ROW>(table, places + 1),
-                       rows_of<ROW>(table, places + 2), rows_of<ROW>(table, places + 3)};
+static inline void read_rows(const float* table, const Places& places, Floats* columns) {
+  const Wide row[4] = {rows_of<ROW>(table, places.of), rows_of<ROW>(table, places.of + 1),
+                       rows_of<ROW>(table, places.of + 2), rows_of<ROW>(table, places.of + 3)};
   const Wide low = low_singles(row[0], row[1]), high = high_singles(row[0], row[1]);
   const Wide more_low = low_singles(row[2], row[3]), more_high = high_singles(row[2], row[3]);
   columns[0] = low_pairs(low, more_low);
@@ -292,14 +343,23 @@ static inline void read_rows(const float* table, Ints index, Floats* columns) {
 }
 static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c) {
   Floats columns[4];
-  read_rows<row_of_three>(table, index, columns);
+  read_rows<row_of_three>(table, Places(index), columns);
   a = columns[0], b = columns[1], c = columns[2];
 }
 static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c,
                         Floats& d) {
   Floats columns[4];
-  read_rows<row_of_four>(table, index, columns);
+  read_rows<row_of_four>(table, Places(index), columns);
   a = columns[0], b = columns[1], c = columns[2], d = columns[3];
+}
+/* The fifth is the last of the row of four that begins at the second. */
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c, Floats& d,
+                        Floats& e) {
+  const Places places(index);
+  Floats columns[4], next[4];
+  read_rows<row_of_four>(table, places, columns);
+  read_rows<row_of_four>(table + 1, places, next);
+  a = columns[0], b = columns[1], c = columns[2], d = columns[3], e = next[3];
 }
 #else
 static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c) {
@@ -310,6 +370,11 @@ static inline void read(const float* table, Ints index, Floats& a, Floats& b, Fl
                         Floats& d) {
   read(table, index, a, b);
   read(table, index + 2, c, d);
+}
+static inline void read(const float* table, Ints index, Floats& a, Floats& b, Floats& c, Floats& d,
+                        Floats& e) {
+  read(table, index, a, b, c, d);
+  e = read(table, index + 4);
 }
 #endif
 
@@ -345,16 +410,15 @@ static inline void store(float* row, Floats values, int lanes) {
 }
 
 /* Four vectors as rows of four, one a lane: that of lane 4 p + k is part p of rows[k]. */
-#if defined(__AVX512F__)
+#if (defined(__AVX512F__) || defined(__AVX2__)) && !defined(SANITIZED)
 static inline void make_rows(const Floats* a, Floats* rows) {
-  const __m512 low = _mm512_unpacklo_ps((__m512)a[0], (__m512)a[1]);
-  const __m512 high = _mm512_unpackhi_ps((__m512)a[0], (__m512)a[1]);
-  const __m512 more_low = _mm512_unpacklo_ps((__m512)a[2], (__m512)a[3]);
-  const __m512 more_high = _mm512_unpackhi_ps((__m512)a[2], (__m512)a[3]);
-  rows[0] = (Floats)_mm512_unpacklo_pd((__m512d)low, (__m512d)more_low);
-  rows[1] = (Floats)_mm512_unpackhi_pd((__m512d)low, (__m512d)more_low);
-  rows[2] = (Floats)_mm512_unpacklo_pd((__m512d)high, (__m512d)more_high);
-  rows[3] = (Floats)_mm512_unpackhi_pd((__m512d)high, (__m512d)more_high);
+  const Wide low = low_singles((Wide)a[0], (Wide)a[1]), high = high_singles((Wide)a[0], (Wide)a[1]);
+  const Wide more_low = low_singles((Wide)a[2], (Wide)a[3]);
+  const Wide more_high = high_singles((Wide)a[2], (Wide)a[3]);
+  rows[0] = low_pairs(low, more_low);
+  rows[1] = high_pairs(low, more_low);
+  rows[2] = low_pairs(high, more_high);
+  rows[3] = high_pairs(high, more_high);
 }
 #else
 static inline void make_rows(const Floats* a, Floats* rows) {
@@ -366,8 +430,20 @@ static inline void make_rows(const Floats* a, Floats* rows) {
 /* Adds a row of neighbors a lane. Lanes may meet at one place, so they add in turn. Only rows of
    four are added whole: others would overlap, and what was just stored in part is slow to load. */
 template <int COLUMNS>
+static inline void add_one(float* place, const float* row) {
+  if (COLUMNS == 4) {
+    typedef float Four __attribute__((vector_size(16)));
+    Four sum, more;
+    memcpy(&sum, place, sizeof sum);
+    memcpy(&more, row, sizeof more);
+    sum += more;
+    memcpy(place, &sum, sizeof sum);
+  } else {
+    for (int c = 0; c < COLUMNS; ++c) place[c] += row[c];
+  }
+}
+template <int COLUMNS>
 static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS], int lanes) {
-  typedef float Four __attribute__((vector_size(16)));
   Ints some = {};
   for (int c = 0; c < COLUMNS; ++c) some |= values[c] != 0;
   uint32_t adding = lanes_of(some) & (0xffffffffu >> (32 - lanes));
@@ -379,19 +455,14 @@ static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS]
   int32_t places[LANES];
   memcpy(memory, rows, sizeof memory);
   memcpy(places, &index, sizeof places);
+  if (adding == (1u << LANES) - 1) {
+    for (int k = 0; k < LANES; ++k)
+      add_one<COLUMNS>(table + places[k], memory[k % 4] + k / 4 * 4);
+    return;
+  }
   for (; adding != 0; adding &= adding - 1) {
     const int k = __builtin_ctz(adding);
-    float* place = table + places[k];
-    const float* row = memory[k % 4] + k / 4 * 4;
-    if (COLUMNS == 4) {
-      Four sum, more;
-      memcpy(&sum, place, sizeof sum);
-      memcpy(&more, row, sizeof more);
-      sum += more;
-      memcpy(place, &sum, sizeof sum);
-    } else {
-      for (int c = 0; c < COLUMNS; ++c) place[c] += row[c];
-    }
+    add_one<COLUMNS>(table + places[k], memory[k % 4] + k / 4 * 4);
   }
 }
 
@@ -404,17 +475,14 @@ static inline void add_three(float* table, Ints index, const Floats (&values)[3]
 }
 
 /* Keeps the larger of what is there and the lane's own. Lanes may meet at one place, so they come
-   in turn. */
-static inline void keep_larger(int32_t* table, Ints places, Ints marks, int lanes) {
-  const Ints there = read(table, places);
-  uint32_t larger = lanes_of(marks > there);
-  if (larger == 0) return;
+   in turn; those beyond the end of a row are the row's last pixel again, which changes nothing. */
+static inline void keep_larger(int32_t* table, Ints places, Ints marks) {
   int32_t place[LANES], mark[LANES];
   memcpy(place, &places, sizeof place);
   memcpy(mark, &marks, sizeof mark);
-  for (; larger != 0; larger &= larger - 1) {
-    const int k = __builtin_ctz(larger);
-    if (k < lanes && mark[k] > table[place[k]]) table[place[k]] = mark[k];
+  for (int k = 0; k < LANES; ++k) {
+    const int32_t there = table[place[k]];
+    table[place[k]] = mark[k] > there ? mark[k] : there;
   }
 }
 

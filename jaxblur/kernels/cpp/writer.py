@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -11,6 +11,7 @@ import numpy as np
 from jax.extend import core
 
 from ..inlining import opened
+from .order import by_reads, names_of
 from .values import (
     OPERATIONS,
     Additions,
@@ -36,15 +37,18 @@ _SAME = ("broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze", "stop_
 
 
 class Read:
-    """A read of a table; of up to four neighbors in memory the first reads all.
+    """A read of a table; of up to five neighbors in memory the first reads all.
 
     Attributes:
         names: of the variables, one for each neighbor; none where an earlier read has it.
+        room: elements from the first to the end of the texel, at least.
     """
 
-    def __init__(self, function: str, table: str, base: str, distance: int, name: str) -> None:
+    def __init__(
+        self, function: str, table: str, base: str, distance: int, name: str, room: int
+    ) -> None:
         self._function, self._table, self._base, self._distance = function, table, base, distance
-        self.names = [name]
+        self.names, self.room = [name], room
 
     def __str__(self) -> str:
         if not self.names:
@@ -52,7 +56,11 @@ class Read:
         place = f"{self._table} + {self._distance}, {self._base}"
         if len(self.names) == 1:
             return f"const Floats {self.names[0]} = {self._function}({place});"
-        names = ", ".join(self.names)
+        names = self.names
+        if len(names) == 3 and self.room > 3:
+            # Four are loaded at once, three in two steps.
+            names = [*names, f"{names[-1]}_next"]
+        names = ", ".join(names)
         return f"Floats {names}; read({place}, {names});"
 
 
@@ -74,8 +82,20 @@ class Scope:
         self.reads: dict[tuple[str, str, int], Read] = {}
 
     def __str__(self) -> str:
-        body = "\n".join(text for text in map(str, self.statements) if text)
+        body = "\n".join(by_reads(self._described()))
         return f"{self.head} {{\n{body}\n}}" if self.head else body
+
+    def _described(self) -> Iterator[tuple[str, Sequence[str] | None, bool]]:
+        """The statements, as `by_reads` takes them."""
+        for statement in self.statements:
+            text = str(statement)
+            if isinstance(statement, Read):
+                if text:
+                    yield text, statement.names, True
+            elif isinstance(statement, Scope):
+                yield text, None, False
+            else:
+                yield text, names_of(text), " = read" in text
 
     def find_own(self, value: Own) -> Scalar | None:
         """The variable of a pixel's own value, of this block or one around it."""
@@ -249,7 +269,9 @@ class Writer:
                 found = self.define(code, value.dtype, Level.PIXEL)
             else:
                 base = f"own * {value.channels}"
-                found = self._define_read(value.code, base, value.channel, Level.PIXEL)
+                found = self._define_read(
+                    value.code, base, value.channel, value.channels, Level.PIXEL
+                )
             self.pixel.own[value] = found
         return found
 
@@ -345,18 +367,26 @@ class Writer:
             return self.define(f"{function}({table.code}, {index.code})", "int32", index.level)
         if table.dtype != "float32":
             raise Unsupported(f"a table of type {table.dtype}")
-        return self._define_read(table.code, base, distance, index.level, function)
+        return self._define_read(table.code, base, distance, factor, index.level, function)
 
     def _define_read(
-        self, table: str, base: str, distance: int, level: Level, function: str = "read"
+        self,
+        table: str,
+        base: str,
+        distance: int,
+        factor: int,
+        level: Level,
+        function: str = "read",
     ) -> Scalar:
-        """A variable for the element at a distance from an index."""
+        """A variable for the element at a distance from an index, a multiple of a factor."""
         scope = self._scope(level)
         name = self._name()
-        read = Read(function, table, base, distance, name)
-        # Rows of four begin at multiples of four, pairs at even distances. The place of the first
-        # is earlier in the same block: there all indices are known.
-        for position in (distance % 4, distance % 2):
+        read = Read(function, table, base, distance, name, factor - distance % factor)
+        # Rows of four begin at multiples of four, of five at those of five, pairs at even
+        # distances. The place of the first is earlier in the same block: there all indices are
+        # known.
+        positions = distance % 4, distance % 2, distance % 5 if factor == 5 else 0
+        for position in positions:
             first = scope.reads.get((table, base, distance - position))
             if position and first and len(first.names) == position:
                 first.names.append(name)
