@@ -8,8 +8,8 @@
 several times), and digests of the code that made them. A digest leaves out comments, docstrings and
 blanks. A part that was rewritten and gives the same numbers, as `010_fast_paths.guard` shows, does
 not make figures older: ``same_numbers.json`` holds, for such parts, the digests that count as one.
-Numbers are the same if they differ by the rounding of float32 at most. Times may differ: a page
-whose times have changed is made again, or says so.
+Numbers are the same if they differ by the rounding of float32 at most. Times may differ, and the
+line says so.
 """
 
 import argparse
@@ -180,9 +180,9 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
     ]
     changed = [part for part in differs if part not in rewritten]
     if not changed:
-        but = f", but for changes of {' and '.join(rewritten)} that keep every bit" * bool(
-            rewritten
-        )
+        but = ""
+        if rewritten:
+            but = f", but for changes of its speed ({', '.join(rewritten)})"
         return f"*Figures of {entry['date']}, made by the code as it is{but}.*"
     return f"*Figures of {entry['date']}. Code that has changed since: {', '.join(changed)}.*"
 
