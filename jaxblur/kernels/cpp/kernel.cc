@@ -300,13 +300,15 @@ static void* data_of(const XLA_FFI_Buffer* buffer) { return buffer->data; }
 static void put_back(const XLA_FFI_Buffer*, void*, bool) {}
 #endif
 
-/* Asks for large pages under a result: its memory is often new, and a page of 4 KiB costs as much
-   when it is first touched as the program takes for dozens of pixels. */
+/* Asks for pages of 2 MiB under a result that fills one: its memory is often new, and to get a page
+   takes long, however small it is. */
 static void ask_for_large_pages(void* data, const XLA_FFI_Buffer* buffer) {
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
-  const uintptr_t page = 1 << 21, start = (uintptr_t)data & -page;
-  const uintptr_t end = ((uintptr_t)data + elements_of(buffer) * sizeof(float) + page - 1) & -page;
-  if (start < end) madvise((void*)start, end - start, MADV_HUGEPAGE);
+  const uintptr_t page = 1 << 21, bytes = elements_of(buffer) * sizeof(float);
+  if (bytes < page) return;
+  const uintptr_t start = (uintptr_t)data & -page;
+  const uintptr_t end = ((uintptr_t)data + bytes + page - 1) & -page;
+  madvise((void*)start, end - start, MADV_HUGEPAGE);
 #else
   (void)data, (void)buffer;
 #endif
