@@ -423,6 +423,16 @@ def test_samples_that_count_for_no_pixel_are_left_out_of_values_alone():
     np.testing.assert_array_equal(change, 9)
 
 
+def test_a_condition_of_samples_must_be_one():
+    def program(at, images, _, __):
+        (a,) = images.a.here()
+        return Outcome((sum_over(3, lambda i: a * i, where=lambda i: a),))
+
+    planes = Planes(*[Image(jnp.ones((*SIZE, 1)))] * 2)
+    with pytest.raises(ValueError, match="`where` must give a condition, .*, got float32"):
+        each_pixel(program, SIZE, planes)
+
+
 def test_the_arctangent_is_right_to_two_units_in_the_last_place():
     angles = np.linspace(-1.57, 1.57, 4000)
     values = np.concatenate([np.tan(angles), np.tan(angles) * 1e-4, [0.0, -0.0, np.inf, -np.inf]])

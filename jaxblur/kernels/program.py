@@ -227,7 +227,8 @@ def sum_over(
         The sums, in the structure of the terms.
 
     Raises:
-        ValueError: the count is no number that is known while the program is traced.
+        ValueError: the count is no number that is known while the program is traced, or ``where``
+            gives no condition.
     """
     if not isinstance(count, int | np.integer):
         raise ValueError(
@@ -247,6 +248,12 @@ def sum_over(
     if where is not None:
         traced = inlined(jax.make_jaxpr(where)(jax.ShapeDtypeStruct((), jnp.int32)))
         condition, conditions = traced.jaxpr, traced.consts
+        types = [variable.aval.dtype for variable in condition.outvars]
+        if types != [jnp.bool_]:
+            raise ValueError(
+                "`where` must give a condition, such as `lambda i: i < last`, got "
+                f"{', '.join(str(one) for one in types)}."
+            )
     sums = sum_primitive.bind(
         *(*closed.consts, *conditions, *limits),
         jaxpr=closed.jaxpr,

@@ -58,7 +58,7 @@ class Read:
             return f"const Floats {self.names[0]} = {self._function}({place});"
         names = self.names
         if len(names) == 3 and self.room > 3:
-            # Four are loaded at once, three in two steps.
+            # A load of three needs a mask.
             names = [*names, f"{names[-1]}_next"]
         names = ", ".join(names)
         return f"Floats {names}; read({place}, {names});"
