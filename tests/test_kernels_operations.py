@@ -429,7 +429,7 @@ def test_a_condition_of_samples_must_be_one():
         return Outcome((sum_over(3, lambda i: a * i, where=lambda i: a),))
 
     planes = Planes(*[Image(jnp.ones((*SIZE, 1)))] * 2)
-    with pytest.raises(ValueError, match="`where` must give a condition, .*, got float32"):
+    with pytest.raises(ValueError, match="`where` must give a condition"):
         each_pixel(program, SIZE, planes)
 
 
