@@ -1,5 +1,6 @@
 """Pairs of frames across a cut, and values that jobs share."""
 
+import gc
 import itertools
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxblur import exr
-from jaxblur.sequence import Shared, is_cut
+from jaxblur.sequence import Shared, cuts, is_cut
 from tests.exr_files import CUBE, CUBE_NEXT, write_single
 
 
@@ -34,6 +35,25 @@ def test_another_picture_is_a_cut_and_a_still_one_is_not(tmp_path):
     first = frame(tmp_path / "1.exr", picture())
     assert is_cut(first, frame(tmp_path / "2.exr", picture(1)), 0.5)
     assert not is_cut(first, first, 0.5)
+
+
+def test_what_is_compared_of_a_frame_is_found_once_and_goes_with_it(tmp_path, monkeypatch):
+    found = []
+
+    def counted(buffers, in_cells=cuts._in_cells):
+        found.append(buffers.color[0, 0, 0])
+        return in_cells(buffers)
+
+    monkeypatch.setattr(cuts, "_in_cells", counted)
+    frames = [frame(tmp_path / f"{k}.exr", picture(k)) for k in range(3)]
+    is_cut(frames[0], frames[1], 0.5)
+    is_cut(frames[1], frames[2], 0.5)
+    assert sorted(found) == sorted(f.color[0, 0, 0] for f in frames)
+    assert all(id(f) in cuts._KNOWN for f in frames)
+    keys = [id(f) for f in frames]
+    del frames
+    gc.collect()
+    assert not any(key in cuts._KNOWN for key in keys)
 
 
 def test_vectors_that_are_as_long_as_the_picture_are_a_cut(tmp_path):

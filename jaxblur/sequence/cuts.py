@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import statistics
+import weakref
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -86,7 +87,7 @@ def is_cut(first: exr.Buffers, second: exr.Buffers, shutter: float) -> bool:
     Returns:
         True also where long vectors, as renderers write them at a cut, bring nothing into place.
     """
-    a, b = _in_cells(first), _in_cells(second)
+    a, b = _cells_of(first), _cells_of(second)
     usual = _difference_elsewhere(a.color, b.color)
     return any(
         differs > UNRELATED * max(usual, ALIKE)
@@ -106,14 +107,32 @@ class _Cells(NamedTuple):
     velocity: np.ndarray
 
 
+_KNOWN: dict[int, tuple[weakref.ref[exr.Buffers], _Cells]] = {}
+"""Cells of frames that are still in memory: a frame is compared with the one before and the one
+after."""
+
+
+def _cells_of(buffers: exr.Buffers) -> _Cells:
+    """The cells of a frame, which are found once."""
+    key = id(buffers)
+    known = _KNOWN.get(key)
+    if known is not None and known[0]() is buffers:
+        return known[1]
+    cells = _in_cells(buffers)
+    _KNOWN[key] = weakref.ref(buffers, lambda _: _KNOWN.pop(key, None)), cells
+    return cells
+
+
 def _in_cells(buffers: exr.Buffers) -> _Cells:
     height, width = buffers.depth.shape
     size = max(1, min(width // CELLS, height))
 
     def means(image: np.ndarray) -> np.ndarray:
         rows, columns = height // size, width // size
-        whole = image[: rows * size, : columns * size]
-        return whole.reshape(rows, size, columns, size, -1).mean(axis=(1, 3))
+        whole = np.ascontiguousarray(image[: rows * size, : columns * size])
+        # Whole rows first: NumPy adds long runs of memory fast, and short ones slowly.
+        bands = whole.reshape(rows, size, -1).sum(axis=1)
+        return bands.reshape(rows, columns, size, -1).sum(axis=2) / size**2
 
     light = np.maximum(np.nan_to_num(buffers.color, posinf=1e6), 0)
     return _Cells(means(light / (1 + light)), means(buffers.velocity) / size)
