@@ -58,10 +58,27 @@ def to_displacements(
     scale = _scale(preset, size, max_displace) * preset.gain / _span(preset, file_shutter)
     sides: dict[int, np.ndarray] = {}
     for index, pair in enumerate(guess.layout):
-        values = raw[..., 2 * index : 2 * index + 2] - np.float32(preset.offset)
+        values = _pair_of(raw, index) - np.float32(preset.offset)
         factor = np.array([pair.sign_x, pair.sign_y]) * scale
-        sides[pair.time] = values * factor.astype(np.float32)
+        sides[pair.time] = _by_pairs(values, factor.astype(np.float32))
     return Displacements(sides.get(-1), sides.get(1))
+
+
+def _pair_of(image: np.ndarray, index: int) -> np.ndarray:
+    """Channels 2 k and 2 k + 1 of (H, W, C), as (H, W, 2) of its own.
+
+    NumPy copies pairs of numbers slowly, and complex numbers fast.
+    """
+    if image.dtype == np.float32 and image.shape[-1] % 2 == 0 and image.flags.c_contiguous:
+        pair = np.ascontiguousarray(image.view(np.complex64)[..., index])
+        return pair.view(np.float32).reshape(*pair.shape, 2)
+    return image[..., 2 * index : 2 * index + 2]
+
+
+def _by_pairs(values: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """``values * factor`` for (H, W, 2) and (2,), row by row: NumPy's loops over two are slow."""
+    height, width, _ = values.shape
+    return (values.reshape(height, -1) * np.tile(factor, width)).reshape(values.shape)
 
 
 def to_half_spread(
@@ -115,7 +132,14 @@ def _arc(
     line, along, across, ratio = _parts(previous, following)
     tangent, bend = _scales(2 * np.arctan(ratio), half)
     end, sagitta = tangent * line, bend * across + np.float32(half**2) * along
-    return np.stack([sagitta - end, sagitta + end], axis=-2)
+    return _beside(sagitta - end, sagitta + end)
+
+
+def _beside(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Two arrays of vectors (H, W, 2) as (H, W, 2, 2), copied as complex numbers."""
+    pair = np.result_type(first, np.complex64)
+    vectors = [np.ascontiguousarray(one).view(pair)[..., 0] for one in (first, second)]
+    return np.stack(vectors, axis=-1).view(first.dtype).reshape(*first.shape[:-1], 2, 2)
 
 
 def from_path(path: Float[np.ndarray, "height width 2 2"], shutter: float) -> Displacements:
