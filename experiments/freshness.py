@@ -6,10 +6,10 @@
 
 ``made.json`` holds, for each experiment, when its figures were made (the oldest, where they are of
 several times), and digests of the code that made them. A digest leaves out comments, docstrings and
-blanks. A part that was rewritten and gives the same numbers, for instance by `010_fast_paths.guard`,
-does not make figures older: ``same_numbers.json`` holds, for such parts, the digests that count as one.
-Numbers are the same if they differ by the rounding of float32 at most. Times may differ, and the
-line says so.
+blanks. A part that was rewritten and gives the same numbers (`010_fast_paths.guard` compares two
+trees) does not make figures older: ``same_numbers.json`` holds, for such parts, the digests that
+count as one. Numbers are the same if they differ by the rounding of float32 at most. Times may
+differ, and the line says so.
 """
 
 import argparse
