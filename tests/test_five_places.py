@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxblur import Frame, vectors
+from jaxblur.filters.layered.arcs import Arc
 from jaxblur.filters.layered.five_places import through_five_places
-from jaxblur.filters.layered.neighbors import displacement_at
 from jaxblur.settings import Backend
 
 SIZE, SHUTTER = (12, 40), 0.5
@@ -93,5 +93,6 @@ def test_an_arc_leads_where_the_vectors_do():
     assert path is not None
     ends, half = [jnp.asarray(path[..., k, axis]) for k in (0, 1) for axis in (0, 1)], SHUTTER / 2
     for side, displacement in ((-1, previous), (1, following)):
-        place = jnp.stack(displacement_at(ends, jnp.float32(side / half), jnp.float32(half)), -1)
+        arc = Arc.through(ends, jnp.float32(half))
+        place = jnp.stack(arc.at(jnp.float32(side / half)), -1)
         np.testing.assert_allclose(place, displacement, atol=2e-3)

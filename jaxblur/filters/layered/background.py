@@ -31,8 +31,9 @@ from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...settings import Settings
 from .._sampling import find_texel
 from ..parameters import LayeredParameters
+from .arcs import Arc
 from .clock import Maps, Span, Times, time_of_owners
-from .neighbors import Neighbor, displacement_at
+from .neighbors import Neighbor
 from .owners import MISSES, Coding, read_owner
 from .paths import Path, Vector
 
@@ -274,7 +275,7 @@ def place_at(path: Path, away: Array, its_time: Array) -> Vector:
     """
     opening = path.bend_x - path.x, path.bend_y - path.y
     closing = path.bend_x + path.x, path.bend_y + path.y
-    return displacement_at((*opening, *closing), away, 1 / jnp.abs(its_time))
+    return Arc.through((*opening, *closing), 1 / jnp.abs(its_time)).at(away)
 
 
 def _doubt(

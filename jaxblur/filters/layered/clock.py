@@ -21,7 +21,7 @@ from jaxtyping import Array
 from ...frame import Frame
 from ...kernels import Image
 from ...shutter import Shutter
-from .neighbors import displacement_at
+from .arcs import Arc
 from .paths import Path, Vector
 
 CELLS = 256
@@ -272,5 +272,6 @@ def scaled(frame: Frame, reach: Array) -> Frame:
     if frame.path is None:
         return frame.replace(velocity=velocity)
     path = [frame.path[..., end, axis] for end in (0, 1) for axis in (0, 1)]
-    ends = [jnp.stack(displacement_at(path, side * reach), axis=-1) for side in (-1, 1)]
+    arc = Arc.through(path)
+    ends = [jnp.stack(arc.at(side * reach), axis=-1) for side in (-1, 1)]
     return frame.replace(velocity=velocity, path=jnp.stack(ends, axis=-2))

@@ -7,7 +7,6 @@ vectors lead one frame farther.
 """
 
 import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,13 +16,12 @@ from ...frame import Frame
 from ...kernels import At, Image, Outcome, each_pixel
 from ...safe_math import safe_divide, safe_norm
 from ...settings import Backend
-from .neighbors import displacement_at
+from .arcs import Arc
+from .paths import Vector
 
 NEAR, RELATIVE = 0.5, 0.1
 """A neighbor shows a point if its vector leads back to it within so many pixels, or within this
 share of the vector's length."""
-
-Vector = tuple[Array, Array]
 
 
 class Images(NamedTuple):
@@ -52,8 +50,9 @@ def path_of_pixel(at: At, images: Images, half: Array, _: None) -> Outcome:
     displacement.
     """
     ends = images.path.here()
+    arc = Arc.through(ends, half)
     before, after = (
-        _error(at, ends, neighbor, side, half)
+        _error(at, arc, neighbor, side, half)
         for side, neighbor in ((-1, images.before), (1, images.after))
     )
     cubic = [(late - early) / 12 for early, late in zip(before, after, strict=True)]
@@ -70,11 +69,11 @@ def path_of_pixel(at: At, images: Images, half: Array, _: None) -> Outcome:
     return Outcome(tuple(changed), where=moves, otherwise=ends)
 
 
-def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, half: Array) -> Vector:
+def _error(at: At, arc: Arc, neighbor: Image | None, side: int, half: Array) -> Vector:
     """How far the arc errs two frames from now on one side; 0 where that is not known."""
     if neighbor is None:
-        return jnp.zeros_like(ends[0]), jnp.zeros_like(ends[0])
-    x, y = displacement_at(ends, side / half, half)
+        return jnp.zeros_like(arc.line[0]), jnp.zeros_like(arc.line[0])
+    x, y = arc.at(side / half)
     height, width = jnp.asarray(neighbor.height), jnp.asarray(neighbor.width)
     # A displacement that is no number, or far too long, leads to no place that an integer holds.
     near = (jnp.abs(x) < width.astype(x.dtype)) & (jnp.abs(y) < height.astype(x.dtype))
@@ -82,15 +81,15 @@ def _error(at: At, ends: Sequence[Array], neighbor: Image | None, side: int, hal
     column = at.column + jnp.floor(jnp.where(near, x, 0) + 0.5).astype(jnp.int32)
     inside = near & (row >= 0) & (row < height) & (column >= 0) & (column < width)
     row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
-    its_ends = neighbor.read_inside(row, column)
-    previous_x, previous_y = displacement_at(its_ends, -1 / half, half)
-    next_x, next_y = displacement_at(its_ends, 1 / half, half)
+    its_arc = Arc.through(neighbor.read_inside(row, column), half)
+    previous_x, previous_y = its_arc.at(-1 / half)
+    next_x, next_y = its_arc.at(1 / half)
     back = (previous_x, previous_y) if side > 0 else (next_x, next_y)
-    miss = safe_norm(back[0] + x, back[1] + y)
-    known = inside & (miss < NEAR + RELATIVE * safe_norm(x, y))
+    miss = jnp.sqrt(jnp.square(back[0] + x) + jnp.square(back[1] + y))
+    known = inside & (miss < NEAR + RELATIVE * jnp.sqrt(x * x + y * y))
     # The texel lies beside the point. Of its vectors the sum, which is how the motion changes, is
     # nearly that of the point.
-    far_x, far_y = displacement_at(ends, 2 * side / half, half)
+    far_x, far_y = arc.at(2 * side / half)
     error_x = 2 * x + previous_x + next_x - far_x
     error_y = 2 * y + previous_y + next_y - far_y
     return jnp.where(known, error_x, 0), jnp.where(known, error_y, 0)

@@ -1,7 +1,6 @@
 """The frames before and after, as `layered` reads them: where their points are in the exposure."""
 
 import functools
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,9 +11,9 @@ from jaxtyping import Array, Float, Int
 
 from ...frame import Frame
 from ...kernels import At, Image, Outcome, each_pixel, sum_over
-from ...safe_math import safe_divide, safe_norm
 from ...settings import Backend
 from .._weights import finite_depth
+from .arcs import Arc
 
 _BLOCK_BITS = 3
 _BLOCK = 2**_BLOCK_BITS
@@ -33,10 +32,6 @@ _UNKNOWN_LIGHT = 0.7
 """What counts where there are fewer."""
 _DARK = 1e-3
 """Root of the light that counts as none."""
-_CURVED = 1e-3
-"""Radians. Below, an arc equals the parabola in float32."""
-_WIDEST = 2 / 3 * math.pi
-"""Radians per frame, as in `jaxblur.vectors.to_half_spread`: how far an arc can turn."""
 
 
 class Neighbor(NamedTuple):
@@ -80,7 +75,8 @@ def motion_of_pixel(
     vectors = images.motion.here()
     (depth,) = images.depth.here()
     times, half = inputs
-    places = [part for time in times for part in displacement_at(vectors, time, half)]
+    arc = Arc.through(vectors, half)
+    places = [part for time in times for part in arc.at(time)]
     log_depth = jnp.log(finite_depth(depth))
     rests = [jnp.zeros_like(place) for place in places]
     moves = functools.reduce(jnp.logical_or, [part != 0 for part in vectors])
@@ -111,8 +107,9 @@ def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> 
     Args:
         at: the block.
         images: see `Both`.
-        inputs: time of the blurred frame for `displacement_at`, and half of the exposure.
+        inputs: time of the blurred frame in half exposures, and half of the exposure in frames.
     """
+    time, half = inputs
     height, width = jnp.asarray(images.here.height), jnp.asarray(images.here.width)
 
     def point(i: Int[Array, ""]) -> tuple[Array, ...]:
@@ -120,7 +117,8 @@ def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> 
         own_column = at.column * _BLOCK + (i & (_BLOCK - 1))
         exists = (own_row < height) & (own_column < width)
         own_row, own_column = jnp.minimum(own_row, height - 1), jnp.minimum(own_column, width - 1)
-        x, y = displacement_at(images.vectors.motion.read_inside(own_row, own_column), *inputs)
+        vectors = images.vectors.motion.read_inside(own_row, own_column)
+        x, y = Arc.through(vectors, half).at(time)
         (own_depth,) = images.vectors.depth.read_inside(own_row, own_column)
         # The nearest texel, for a mean of two would differ from a texel.
         row = own_row + jnp.floor(y + 0.5).astype(jnp.int32)
@@ -212,48 +210,3 @@ def light_of(
     most = apart.max(axis=-1, keepdims=True)
     light = _MOST * jnp.clip((_OTHER_LIGHT - most) / (_OTHER_LIGHT - _SAME_LIGHT), 0, 1)
     return lax.stop_gradient(jnp.where(count > _FEWEST, light, _UNKNOWN_LIGHT))
-
-
-def displacement_at(
-    vectors: Sequence[Array], time: Array, half: Array | None = None
-) -> tuple[Array, Array]:
-    """Displacement at a time in half exposures, on the arc through the ends of the path.
-
-    With l half of the chord and the rest c split into c1 along l and c2 across it, the arc is
-
-        x(t) = l sin(w t)/sin(w) + c2 (1 - cos(w t))/(1 - cos(w)) + c1 t^2,  tan(w/2) = |c2|/|l|,
-
-    as `jaxblur.vectors.to_half_spread` defines it.
-
-    Args:
-        vectors: x and y of a velocity; or of the displacements at opening and closing.
-        time: in half exposures.
-        half: half of the exposure in frames, which bounds how far the arc turns in a half exposure
-            as `to_half_spread` does, so that the arc at the next frame is where its vector leads;
-            None for no bound.
-
-    Returns:
-        x and y, pixels.
-    """
-    if len(vectors) == 2:
-        return time * vectors[0], time * vectors[1]
-    opening_x, opening_y, closing_x, closing_y = vectors
-    line_x, line_y = (closing_x - opening_x) / 2, (closing_y - opening_y) / 2
-    rest_x, rest_y = (closing_x + opening_x) / 2, (closing_y + opening_y) / 2
-    squared = line_x * line_x + line_y * line_y
-    share = safe_divide(line_x * rest_x + line_y * rest_y, squared)
-    along_x, along_y = share * line_x, share * line_y
-    across_x, across_y = rest_x - along_x, rest_y - along_y
-    ratio = safe_divide(safe_norm(across_x, across_y), safe_norm(line_x, line_y))
-    curved = ratio > _CURVED
-    angle = 2 * jnp.arctan(jnp.where(curved, ratio, 1))
-    if half is not None:
-        angle = jnp.minimum(angle, _WIDEST * half)
-    tangent = jnp.where(curved, jnp.sin(time * angle) / jnp.sin(angle), time)
-    sagitta = jnp.sin(time * angle / 2) / jnp.sin(angle / 2)
-    bend = jnp.square(jnp.where(curved, sagitta, time))
-    x, y = (
-        tangent * line + bend * across + time * time * along
-        for line, across, along in ((line_x, across_x, along_x), (line_y, across_y, along_y))
-    )
-    return x, y
