@@ -18,8 +18,8 @@ from .arcs import Arc
 _BLOCK_BITS = 3
 _BLOCK = 2**_BLOCK_BITS
 """Pixels of a block over whose neighborhood light is compared."""
-_ONE_SURFACE = 0.03
-"""Log depths of one surface differ by less."""
+_ONE_SURFACE = 1.03
+"""Depths of one surface differ by a smaller factor."""
 _SAME_LIGHT, _OTHER_LIGHT = 0.05, 0.2
 """Relative differences of square roots of light up to which light is the same, and from which it is
 another."""
@@ -126,8 +126,9 @@ def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> 
         inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         row, column = jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)
         (depth,) = images.depth.read_inside(row, column)
-        apart = jnp.log(finite_depth(depth)) - jnp.log(finite_depth(own_depth))
-        both = exists & inside & (jnp.abs(apart) < _ONE_SURFACE)
+        depth, own_depth = finite_depth(depth), finite_depth(own_depth)
+        farther = _ONE_SURFACE * jnp.minimum(depth, own_depth)
+        both = exists & inside & (jnp.maximum(depth, own_depth) < farther)
         if images.valid is not None:
             (valid,) = images.valid.read_inside(row, column)
             both = both & (valid > 0)
