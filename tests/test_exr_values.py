@@ -133,3 +133,39 @@ def test_lossy_compression_of_vectors_is_reported_if_values_change(
     reported = [str(warning.message) for warning in recwarn]
     assert [text.split(": ")[1].split(" is ")[0] for text in reported] == lossy
     assert all(f"lossy compression ({compression})" in text for text in reported)
+
+
+def cropped(tmp_path, velocity, origin, alpha=True):
+    """A frame of 6x4 pixels in a picture of 12x8; one pixel, at row 1 and column 4, moves so far in
+    half an exposure of two frames."""
+    channels = plain_frame()
+    for axis, part in zip("XY", velocity, strict=True):
+        channels[f"velocity.{axis}"][:] = 0
+        channels[f"velocity.{axis}"][1, 4] = part
+    if alpha:
+        channels["A"] = np.ones_like(channels["R"])
+    return write_single(tmp_path / "a.exr", channels, origin=origin, display=(0, 0, 12, 8))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "sides"),
+    [
+        ((1.6, 0), "right"),
+        ((0, 1.6), "top"),
+        ((5, 0), "left, right"),
+        ((0, 2.6), "top, bottom"),
+    ],
+)
+def test_an_element_whose_blur_leaves_its_data_window_is_reported(tmp_path, velocity, sides):
+    path = cropped(tmp_path, velocity, origin=(3, 2))
+    words = rf"6x4 at \(3, 2\), across its edges \({sides}\).*--croptofull"
+    with pytest.warns(exr.JaxblurIOWarning, match=words):
+        exr.read_buffers(path, shutter=2)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "origin", "alpha"),
+    [((1.4, 0), (3, 2), True), ((1.6, 0), (6, 2), True), ((1.6, 0), (3, 2), False)],
+)
+def test_blur_that_stays_within_or_leaves_the_picture_is_not(tmp_path, velocity, origin, alpha):
+    exr.read_buffers(cropped(tmp_path, velocity, origin, alpha), shutter=2)

@@ -14,7 +14,7 @@ from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy
 
 from .channels import read_channels, read_together
-from .checks import check_speed, refuse_or_zero, warn_lossy, without_depth
+from .checks import check_speed, refuse_or_zero, warn_cropped, warn_lossy, without_depth
 from .choose import (
     ColorGroup,
     borrowed_from,
@@ -225,6 +225,7 @@ def read_buffers(
     velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
         check_speed(velocity, vector_info.path, guess)
+        warn_cropped(info, group.channels[0], alpha, velocity)
 
     if channel is None:
         kind = "flat"
