@@ -50,9 +50,11 @@ def test_passes_add_up_to_the_beauty(tmp_path, filter, letters, option):
     path, channels = write_passes(tmp_path / "a.exr", letters=letters)
     alone, together = tmp_path / "alone.exr", tmp_path / "together.exr"
     options = ("--preset", "jaxblur", "--filter", filter, "--shutter", "1")
-    assert run("blur", path, "-o", alone, *options).status == 0
+    outcome = run("blur", path, "-o", alone, *options)
+    assert outcome.status == 0 and outcome.err.count("stay sharp: ") == 1
+    assert "stay sharp: diffuse, emission, specular; --also blurs them too" in outcome.err
     outcome = run("blur", path, "-o", together, *options, *option, "--png")
-    assert outcome.status == 0, outcome.err
+    assert outcome.status == 0 and "stay sharp" not in outcome.err, outcome.err
     beauty = exr.read_channels(together, [*letters, "A"])
     # The picture is what it is without the passes.
     np.testing.assert_allclose(beauty, exr.read_channels(alone, [*letters, "A"]), atol=1e-6)

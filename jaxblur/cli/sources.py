@@ -179,6 +179,9 @@ def read(arguments: argparse.Namespace, keep_decoded: bool = False) -> Any:
     LOG.info("color: %s", ", ".join(buffers.color_channels))
     if buffers.pass_channels:
         LOG.info("passes: %s", _describe_passes(buffers.pass_channels))
+    is_kept = not getattr(arguments, "drop_extra", True)
+    if is_kept and buffers.sharp_layers and arguments.output.suffix.lower() == ".exr":
+        LOG.info("stay sharp: %s; --also blurs them too", ", ".join(buffers.sharp_layers))
     LOG.info("vectors: %s", buffers.guess.reason)
     LOG.info("depth: %s, read as %s", buffers.depth_channel or "none", buffers.depth_kind)
     return _with_turning_sky(arguments.input, buffers) if arguments.sky == "camera" else buffers

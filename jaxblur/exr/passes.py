@@ -20,7 +20,7 @@ _IDENTIFIERS = re.compile(r"crypto|(^|_)ids?$|object_?id|material_?id|index", re
 
 _DATA = re.compile(
     r"normal|^n$|^ng$|position|^p$|^pref$|^pworld$|^uvs?$|^st$|depth|^z$|vector|velocity|motion|"
-    r"tangent|mask|matte|sample_?count|variance|^debug|^denoising",
+    r"tangent|mask|matte|sample_?count|variance|^debug|^denoising|^noisy image",
     re.IGNORECASE,
 )
 """Layers in red, green and blue that hold something else than color."""
@@ -50,13 +50,8 @@ def choose_passes(
     """
     if not passes:
         return ()
-    groups = {
-        other.prefix.rstrip("."): other
-        for other in color_layers(info, layer)
-        if not set(other.channels) & set(group.channels)
-        and info.channel(other.channels[0]).type in ("half", "float")
-    }
-    colors = [name for name in groups if not _is(_DATA, name) and not _is(_IDENTIFIERS, name)]
+    groups = _groups(info, group, layer)
+    colors = _colors(groups)
     if passes == "all":
         found = set(colors)
         if not found:
@@ -64,6 +59,39 @@ def choose_passes(
     else:
         found = {name for text in passes for name in _matching(info, text, groups, colors)}
     return tuple(name for key, other in groups.items() if key in found for name in other.channels)
+
+
+def sharp_layers(
+    info: FileInfo, group: ColorGroup, passes: Sequence[str], layer: str | None = None
+) -> tuple[str, ...]:
+    """Find the layers of color that are not blurred with the picture.
+
+    Args:
+        info: listing of the file.
+        group: the picture.
+        passes: full names of the channels that are blurred with it.
+        layer: view layer, view or part to look in.
+
+    Returns:
+        Names of layers, in the order of the file.
+    """
+    groups = _groups(info, group, layer)
+    return tuple(name for name in _colors(groups) if not set(groups[name].channels) & set(passes))
+
+
+def _groups(info: FileInfo, group: ColorGroup, layer: str | None) -> dict[str, ColorGroup]:
+    """The other layers in red, green and blue, by name."""
+    return {
+        other.prefix.rstrip("."): other
+        for other in color_layers(info, layer)
+        if not set(other.channels) & set(group.channels)
+        and info.channel(other.channels[0]).type in ("half", "float")
+    }
+
+
+def _colors(groups: dict[str, ColorGroup]) -> list[str]:
+    """The layers among them that hold color."""
+    return [name for name in groups if not _is(_DATA, name) and not _is(_IDENTIFIERS, name)]
 
 
 def _matching(

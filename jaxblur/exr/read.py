@@ -25,7 +25,7 @@ from .choose import (
 )
 from .convert import DEPTH_KINDS, as_light, depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
-from .passes import Passes, choose_passes
+from .passes import Passes, choose_passes, sharp_layers
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -55,6 +55,7 @@ class Buffers:
             `jaxblur.Frame`; not beside passes.
         decoded: (H, W, K) float32 all channels of the part with the picture, as stored, if
             `read_buffers` was asked to keep them and has read all of them; else None.
+        sharp_layers: names of layers of color that are not blurred with the picture.
     """
 
     color: Float[np.ndarray, "height width channels"]
@@ -71,6 +72,7 @@ class Buffers:
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
     guide: Float[np.ndarray, "height width channels"] | None = None
     decoded: Float[np.ndarray, "height width channels"] | None = None
+    sharp_layers: tuple[str, ...] = ()
 
     def frame(self) -> Frame:
         """The buffers as a `jaxblur.Frame` of JAX arrays.
@@ -244,6 +246,7 @@ def read_buffers(
         pass_channels=passes,
         pass_colors=extra,
         decoded=decoded if keep_decoded else None,
+        sharp_layers=sharp_layers(info, group, passes, layer),
     )
 
 
