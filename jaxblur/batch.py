@@ -1,7 +1,7 @@
 """A filter over several frames: `blur_batch` for each of them, `blur_subframes` for their mean."""
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -10,12 +10,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
+from .filters._arguments import refuse_nan_motion_of_any, refuse_out_of_range
 from .filters.registry import FilterInfo, Parameters, filter_info
 from .frame import Frame, check_frame_type
 from .noise import Noise
 from .settings import Settings, checked_settings
 
-FRAME_AXES = {"color": 4, "depth": 3, "velocity": 4, "path": 5, "valid": 3}
+FRAME_AXES = {"color": 4, "depth": 3, "velocity": 4, "path": 5, "valid": 3, "guide": 4}
 NOISE_AXES = {"tap": 3, "tile": 4}
 
 
@@ -58,17 +59,12 @@ def blur_batch(
         ValueError: an argument is wrong, or shapes disagree.
     """
     info = filter_info(filter)
+    chosen = info.checked_parameters(parameters)
+    options = {"info": info, "settings": settings_of(info, settings), "chunk": chunk}
 
     def blur(frames: Frame, noise: Noise | None) -> jax.Array:
-        _check_batch(frames, noise, chunk)
-        return _blur_batch(
-            frames,
-            info.checked_parameters(parameters),
-            noise,
-            info=info,
-            settings=_settings(info, settings),
-            chunk=chunk,
-        )
+        check_batch(frames, chosen, noise, chunk)
+        return _blur_batch(frames, chosen, noise, **options)
 
     return blur(frames, noise) if isinstance(frames, Frame) else _by_kind(blur, frames, noise)
 
@@ -104,14 +100,14 @@ def blur_subframes(
     """
     info = filter_info(filter)
     if isinstance(frames, Frame):
-        _check_batch(frames, None, 1)
+        check_batch(frames, None, None, 1)
         stacked = frames
         parts = [jax.tree.map(lambda b, k=k: b[k], stacked) for k in range(len(stacked.color))]
     else:
         _check_sequence(frames, None)
         parts = list(frames)
     call: Any = info.call
-    options = {"settings": _settings(info, settings), "noise": noise}
+    options = {"settings": settings_of(info, settings), "noise": noise}
     parameters = info.checked_parameters(parameters)
     images = []
     for before, part, after in zip([None, *parts], parts, [*parts[1:], None], strict=False):
@@ -120,7 +116,16 @@ def blur_subframes(
     return sum(images[1:], images[0]) / len(images)
 
 
-def _settings(info: FilterInfo, settings: Settings | None) -> Settings:
+def settings_of(info: FilterInfo, settings: Settings | None) -> Settings:
+    """Settings as a filter takes them; None stands for its defaults.
+
+    Args:
+        info: the filter.
+        settings: of the filter, or None.
+
+    Raises:
+        ValueError: they are those of another filter.
+    """
     if settings is None:
         return info.settings
     return checked_settings(settings, info.kind, info.name)
@@ -174,7 +179,11 @@ def has_frame_axis(noise: Noise) -> bool:
 
 
 def _check_sequence(frames: Sequence[Frame], noise: Noise | None) -> None:
-    if isinstance(frames, type | str) or not isinstance(frames, Iterable):
+    if isinstance(frames, Iterator):
+        raise ValueError(
+            f"`frames` must be a list of frames, got {type(frames).__name__}; pass list(frames)."
+        )
+    if isinstance(frames, type | str) or not isinstance(frames, Sequence):
         check_frame_type(frames, "frames")
     for number, frame in enumerate(frames):
         check_frame_type(frame, f"frames[{number}]")
@@ -191,7 +200,20 @@ def _check_sequence(frames: Sequence[Frame], noise: Noise | None) -> None:
         )
 
 
-def _check_batch(frames: Frame, noise: Noise | None, chunk: int) -> None:
+def check_batch(
+    frames: Frame, parameters: Parameters | None, noise: Noise | None, chunk: int
+) -> None:
+    """Reject a batch that no filter can blur.
+
+    Args:
+        frames: see `blur_batch`.
+        parameters: of the filter.
+        noise: see `blur_batch`.
+        chunk: see `blur_batch`.
+
+    Raises:
+        ValueError: shapes disagree, a parameter is out of range, or depth or motion is NaN.
+    """
     if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
         raise ValueError(f"`chunk` must be a whole number from 1, got {chunk!r}.")
     counts = {}
@@ -211,3 +233,5 @@ def _check_batch(frames: Frame, noise: Noise | None, chunk: int) -> None:
     if len(set(counts.values())) != 1 or 0 in counts.values():
         listing = ", ".join(f"`{name}` {count}" for name, count in counts.items())
         raise ValueError(f"`frames` must hold one or more frames in every buffer, got {listing}.")
+    refuse_out_of_range(parameters)
+    refuse_nan_motion_of_any(frames)

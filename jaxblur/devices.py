@@ -19,7 +19,8 @@ from jax import lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from .batch import blur_batch, has_frame_axis
+from .batch import blur_batch, check_batch, has_frame_axis, settings_of
+from .filters._arguments import refuse_nan_motion, refuse_out_of_range
 from .filters.registry import FilterInfo, Parameters, filter_info
 from .frame import Frame, check_frame_type
 from .noise import Noise, resolve_noise
@@ -56,13 +57,20 @@ def blur_frames(
     Raises:
         ValueError: as `jaxblur.blur_batch`.
     """
+    if isinstance(frames, list | tuple) and all(isinstance(each, Frame) for each in frames):
+        raise ValueError(
+            "`frames` must be a jaxblur.Frame, got several; stack them: "
+            "jax.tree.map(lambda *b: jnp.stack(b), *frames)."
+        )
     check_frame_type(frames, "frames")
+    info = filter_info(filter)
+    parameters, settings = info.checked_parameters(parameters), settings_of(info, settings)
+    check_batch(frames, parameters, noise, chunk)
     mesh = _mesh(devices)
     own_noise = noise is not None and has_frame_axis(noise)
     count = len(frames.color)
     batch = _spread((frames, noise if own_noise else None), mesh, -count % mesh.size)
     shared = jax.device_put((parameters, None if own_noise else noise), _everywhere(mesh))
-    info = filter_info(filter)
     return _blur_frames(batch, shared, info=info, settings=settings, chunk=chunk, mesh=mesh)[:count]
 
 
@@ -111,7 +119,9 @@ def blur_rows(
     info = filter_info(filter)
     check_frame_type(frame)
     parameters = info.checked_parameters(parameters)
-    settings = info.settings if settings is None else settings
+    settings = settings_of(info, settings)
+    refuse_out_of_range(parameters)
+    refuse_nan_motion(frame)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     reach = row_reach(info, parameters, settings, curved=frame.path is not None)

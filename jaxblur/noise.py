@@ -9,7 +9,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
@@ -66,8 +65,20 @@ def interleaved_gradient(x: Int[np.ndarray, "*a"], y: Int[np.ndarray, "*b"]) -> 
     inner = jnp.where(total >= _INNER_UNIT, total - _INNER_UNIT, total)
     # The upper word of the product with 52.9829189 / 10^8 in units of 2^-56, without its integer
     # part.
-    outer = lax.mulhi(inner << 4, jnp.full_like(inner, _OUTER)) & (2**24 - 1)
+    outer = _upper_word(inner << 4, _OUTER) & (2**24 - 1)
     return outer.astype(jnp.float32) * jnp.float32(2**-24)
+
+
+def _upper_word(first: jax.Array, second: int) -> jax.Array:
+    """The upper 32 bits of a product of 32-bit numbers, by halves of 16 bits.
+
+    `lax.mulhi` has no form for arrays that are spread over devices (jax 0.10.2).
+    """
+    low, high = first & 0xFFFF, first >> 16
+    second_low, second_high = jnp.uint32(second & 0xFFFF), jnp.uint32(second >> 16)
+    middle = high * second_low + (low * second_low >> 16)
+    carried = low * second_high + (middle & 0xFFFF)
+    return high * second_high + (middle >> 16) + (carried >> 16)
 
 
 def _halton_block() -> np.ndarray:

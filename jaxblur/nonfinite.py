@@ -87,6 +87,9 @@ def finite_frame(frame: Frame, nonfinite: Nonfinite = "error") -> tuple[Frame, I
         for name in ("color", "velocity", "path")
         if (value := getattr(frame, name)) is not None
     }
+    if frame.valid is not None:
+        # What a mask leaves out may be anything.
+        bad["color"] &= np.asarray(frame.valid) != 0
     depth = np.asarray(frame.depth, np.float64)
     bad["depth"] = np.isnan(depth) | np.isneginf(depth)
     no_distance = (depth <= 0) & ~bad["depth"]

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+import numbers
 import typing
 from typing import Literal, TypeVar
 
@@ -58,11 +59,13 @@ class Settings:
     def __post_init__(self):
         for name in ("samples", "radius"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int):
+            if isinstance(value, bool) or not isinstance(value, numbers.Integral):
                 raise ValueError(f"`{name}` must be a whole number, got {value!r}.")
             if value < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {value}.")
-        if not 0 <= self.spacing < math.inf:
+            # That of NumPy is another one where it is written out.
+            object.__setattr__(self, name, int(value))
+        if not (isinstance(self.spacing, numbers.Real) and 0 <= self.spacing < math.inf):
             raise ValueError(f"`spacing` must be a number of pixels >= 0, got {self.spacing}.")
         for name, options in choices_of(type(self)).items():
             value = getattr(self, name)

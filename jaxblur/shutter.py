@@ -182,13 +182,15 @@ class Shutter:
             The shutter, in half exposures.
 
         Raises:
-            ValueError: there is no such curve.
+            ValueError: there is no such curve, or the exposure is not above 0.
 
         Examples:
             >>> shutter = Shutter.from_frames(0, 0.5, exposure=0.5)
             >>> shutter.open, shutter.close
             (0.0, 2.0)
         """
+        if isinstance(exposure, int | float) and not exposure > 0:
+            raise ValueError(f"`exposure` must be above 0, got {exposure}.")
         half = exposure / 2  # pyright: ignore[reportOperatorIssue]
         points = curve_of(curve) if isinstance(curve, str) else curve
         return cls(open / half, close / half, points, readout / half)  # pyright: ignore

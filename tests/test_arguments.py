@@ -350,3 +350,60 @@ def test_the_truth_of_a_benchmark_has_the_shape_of_its_frame():
     for wrong in (TRUTH[:3], TRUTH[..., 0]):
         message = refused(bench.frame_subject, "mine", FRAME, wrong)
         assert "`truth` must have shape (7, 9, channels) like the frame" in message
+
+
+def test_parameters_out_of_range_and_nan_are_refused_where_they_are_known():
+    blur = jaxblur.guertin2014
+    for value, says in ((-3.0, "got -3"), (0, "got 0"), (jnp.float32(jnp.nan), "got nan")):
+        message = refused(blur, FRAME, jaxblur.GuertinParameters(kappa=value), settings=QUICK)
+        assert message == f"`parameters.kappa` must be above 0, {says}."
+        assert message == refused(
+            blur_rows, blur, FRAME, jaxblur.GuertinParameters(kappa=value), settings=QUICK
+        )
+    bad = jaxblur.LayeredParameters(bend=np.float64("nan"))
+    assert "`parameters.bend` must be" in refused(jaxblur.layered, FRAME, bad, settings=QUICK)
+    traced = jax.jit(lambda bend: jaxblur.LayeredParameters(bend=bend).bend)
+    assert np.isnan(traced(jnp.nan))
+
+
+class Tensor:
+    """An array of another library."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values
+
+
+def test_buffers_of_other_libraries_are_named():
+    for name in ("color", "depth", "velocity"):
+        values = np.asarray(getattr(FRAME, name))
+        given = jaxblur.Frame(
+            **{"color": FRAME.color, "depth": FRAME.depth}
+            | {"velocity": FRAME.velocity}
+            | {name: Tensor(values)}
+        )
+        message = refused(jaxblur.pixel_velocity, given, settings=QUICK)
+        assert message.startswith(f"`frame.{name}` must be an array of NumPy or JAX, got Tensor")
+        other = FRAME.replace(**{name: values.astype(">f4")})
+        assert "newbyteorder" in refused(jaxblur.pixel_velocity, other, settings=QUICK)
+
+
+def test_whole_numbers_of_numpy_are_settings():
+    settings = jaxblur.Settings(samples=np.int32(9), radius=np.int64(20))
+    assert settings == jaxblur.Settings(samples=9, radius=20) and type(settings.radius) is int
+    assert "`spacing` must be a number" in refused(jaxblur.Settings, spacing="a")
+
+
+def test_wrappers_for_several_devices_check_before_they_spread():
+    frames = jax.tree.map(lambda buffer: jnp.stack([buffer, buffer]), FRAME)
+    settings: Any = {"radius": 4}
+    for function, given in ((blur_rows, FRAME), (blur_frames, frames)):
+        message = refused(function, "guertin2014", given, settings=settings)
+        assert "`settings` must be GuertinSettings" in message
+        bad = given.replace(velocity=given.velocity.at[..., 1].set(jnp.nan))
+        assert "velocity` is NaN" in refused(function, "guertin2014", bad, settings=QUICK)
+    uneven = frames.replace(depth=frames.depth[:1])
+    assert "`frames.depth` 1" in refused(blur_frames, "guertin2014", uneven, settings=QUICK)
+    assert "stack them" in refused(blur_frames, "guertin2014", [FRAME, FRAME], settings=QUICK)

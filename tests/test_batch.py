@@ -15,6 +15,10 @@ SETTINGS = jaxblur.Settings(samples=5, radius=6)
 SHAPE = (13, 17)
 
 
+NAN = [random_frame(SHAPE), random_frame(SHAPE)]
+NAN[1] = NAN[1].replace(velocity=NAN[1].velocity.at[3, 4, 0].set(jnp.nan))
+
+
 def assert_close(actual, desired):
     """The programs differ in how they fuse; measured difference at most 1.2e-7."""
     np.testing.assert_allclose(actual, desired, rtol=1e-5, atol=1e-6)
@@ -171,6 +175,20 @@ def test_new_parameters_recompile_nothing():
             "`noise` must be of one frame or of all 2, got 3",
         ),
         ({"chunk": 1.5}, "`chunk` must be a whole number"),
+        (
+            {"frames": iter(some_frames(2))},
+            r"must be a list of frames, got .*; pass list\(frames\)",
+        ),
+        (
+            {"frames": stack(some_frames(2)).replace(guide=jnp.ones((1, *SHAPE, 3)))},
+            r"`frames.color` 2.*`frames.guide` 1",
+        ),
+        ({"frames": NAN}, "frame 1 of `frames`: `frame.velocity` is NaN at 1 of 221 pixels"),
+        ({"frames": stack(NAN)}, "frame 1 of `frames`: `frame.velocity` is NaN at 1 of 221 pixels"),
+        (
+            {"parameters": jaxblur.GuertinParameters(kappa=-3.0)},
+            "`parameters.kappa` must be above 0, got -3",
+        ),
         ({"frames": random_frame(SHAPE)}, r"`frames.color` must have 4 axes.*stack the frames"),
         (
             {"noise": jax.tree.map(lambda leaf: leaf[None], random_noise(SHAPE))},

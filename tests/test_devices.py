@@ -54,6 +54,12 @@ rows("guertin2014, bilinear", "guertin2014", (61, 20), 2, {"fetch": "bilinear"})
 mask = jnp.asarray(np.random.default_rng(5).random((79, 24)) > 0.2)
 rows("three, masked", "guertin2014", (79, 24), 3, valid=mask)
 rows("built-in noise", "guertin2014", (79, 24), 2, noise=lambda shape: None)
+quick = jaxblur.Settings(samples=7, radius=8, backend="xla")
+both = jax.tree.map(lambda *b: jnp.stack(b), *(random_frame((24, 20), seed=k) for k in range(2)))
+one = jaxblur.blur_batch("guertin2014", both, settings=quick)
+many = blur_frames("guertin2014", both, settings=quick, devices=devices[:2])
+note("built-in noise, frames", one, many, both.color)
+
 rows("few rows", "pixel_velocity", (9, 24), 3)
 rows("far taps", "guertin2014", (120, 24), 2, {"samples": 2, "radius": 6, "border": "clamp"})
 rows("rounded", "guertin2014", (61, 24), 2, {"split": "variance", "fetch": "bilinear"})
@@ -182,6 +188,12 @@ def test_frames_are_those_of_one_device(report):
     difference, change, devices = report["frames"]
     assert difference < 1e-6
     assert change > 0.1 and devices == 3
+
+
+def test_frames_on_several_devices_have_the_built_in_noise(report):
+    difference, change, devices = report["built-in noise, frames"]
+    assert difference < 1e-6
+    assert change > 0.1 and devices == 2
 
 
 def test_a_sequence_is_blurred_on_every_device(report):

@@ -55,6 +55,13 @@ def changed(**buffers):
         ({"mask": [np.ones((48, 64))]}, "must be booleans of shape"),
         ({"mask": []}, "one array for each of the 1 training pairs, got 0"),
         ({"resume": True}, "`resume` needs `state`"),
+        ({"free": "kappa"}, r"`free` must be a list of names, got 'kappa'; pass \['kappa'\]"),
+        ({"key": 3}, r"`key` must be a key of jax.random, got 3; pass jax.random.key"),
+        ({"optimizer": optax.adam}, "`optimizer` must be an optax transformation, .* call it"),
+        (
+            {"filter": "pixel_velocity", "settings": jaxblur.Settings(), "free": None},
+            "`filter` must be one with parameters: pixel_velocity has none to fit",
+        ),
     ],
 )
 def test_arguments_that_are_refused(options, match):
@@ -120,6 +127,9 @@ def test_an_interrupted_fit_goes_on_to_the_same_bits(tmp_path):
         quick_fit(state=state, resume=True, steps=9)
     with pytest.raises(ValueError, match="is the state of another fit"):
         quick_fit([changed(color=2 * smooth_frame().color)], state=state, resume=True)
+    mask = np.ones(smooth_frame().depth.shape, bool)
+    with pytest.raises(ValueError, match="is the state of another fit"):
+        quick_fit([changed(valid=mask)], state=state, resume=True)
     state.write_bytes(b"PK\x03\x04 no archive")
     with pytest.raises(ValueError, match="does not hold the state of a fit"):
         quick_fit(state=state, resume=True)

@@ -252,6 +252,12 @@ NO_OUTCOMES = {
     "must return an Outcome, .* got tuple": lambda at, images, _, __: images.a.here(),
     "must return an Outcome, .* got NoneType": lambda at, images, _, __: None,
     "must be a tuple of scalars, .* write": lambda at, images, _, __: Outcome(images.a.here()[0]),
+    r"must be scalars, one a channel, got shape \(3,\) for channel 0": lambda *_: Outcome(
+        (jnp.zeros(3),)
+    ),
+    "`row` of Image.read must be a whole number, got one of type float32": (
+        lambda at, images, _, __: Outcome(images.a.read(at.row + 0.5, at.column))
+    ),
     "must be a condition, .* type float32": lambda at, images, _, __: Outcome(
         images.a.here(), where=images.a.here()[0]
     ),

@@ -334,3 +334,16 @@ def test_the_published_psnr_of_rendered_scenes_is_reproduced(reference_data, sce
         for image in (sharp, blurred)
     ]
     np.testing.assert_allclose(measured, PUBLISHED_PSNR[scene], atol=0.015)
+
+
+def test_whole_numbers_do_not_wrap_around():
+    # The tests' type checker rejects them before the public functions do.
+    low, high = np.full((2, 12, 12, 3), [[[[100]]], [[[200]]]], np.uint8)
+    image, truth = images.of_one_shape(low, high)
+    assert image.dtype == truth.dtype == np.float32
+    assert metrics.psnr(image, truth, peak=255.0) == pytest.approx(20 * np.log10(2.55), rel=1e-6)
+
+
+def test_a_mask_of_another_size_is_rejected():
+    with pytest.raises(ValueError, match=r"size of the images, \(12, 20\), got \(20, 12\)"):
+        images.masked_mean(jnp.ones((12, 20, 3)), np.ones((20, 12), bool))

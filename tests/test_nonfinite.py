@@ -10,6 +10,7 @@ import pytest
 import jaxblur
 from jaxblur.filters import FILTERS, filter_info
 from jaxblur.filters.guertin2014 import tile_outcomes
+from jaxblur.fitting.pairs import make_pairs
 from jaxblur.nonfinite import Ignored
 from tests.helpers import random_frame, settings_of, with_slow
 
@@ -82,6 +83,17 @@ def test_depth_that_is_not_a_distance_is_always_rejected(value, policy):
     frame = with_value(random_frame((4, 6)), "depth", value)
     with pytest.raises(ValueError, match=r"`frame.depth` is zero or negative at 1 of 24"):
         jaxblur.finite_frame(frame, policy)
+
+
+def test_what_a_mask_leaves_out_may_be_anything():
+    good = random_frame((12, 16))
+    valid = np.ones(good.depth.shape, bool)
+    valid[3, 5] = False
+    frame = with_value(good, "color", np.nan).replace(valid=valid)
+    kept, ignored = jaxblur.finite_frame(frame)
+    assert kept is frame and not ignored
+    (pair,) = make_pairs([(frame, np.asarray(good.color))])
+    assert pair.frame.valid is not None
 
 
 def test_unknown_policies_are_refused():

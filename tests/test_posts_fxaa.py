@@ -144,6 +144,8 @@ def test_refusals():
     image = np.zeros((4, 5, 3), np.float32)
     with pytest.raises(ValueError, match="`quality` must be one of 12, 29, 39"):
         fxaa(image, quality=10)
+    with pytest.raises(ValueError, match="`image` must be an array, got a Frame; pass frame.color"):
+        fxaa(random_frame((4, 5)))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="`image` must have shape"):
         fxaa(image[..., 0])
     with pytest.raises(ValueError, match="`hint` must have shape"):

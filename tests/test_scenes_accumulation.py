@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import jaxblur
 from jaxblur.scenes import (
     SCENES,
     Body,
@@ -226,6 +227,7 @@ def test_subpixel_positions_fill_the_pixel_around_its_center():
         ({"shutter_function": [1.0, -1.0]}, "finite, not negative and not all zero"),
         ({"placement": "late"}, "`placement` must be one of centered, leading, trailing"),
         ({"shutter": 0.0, "readout": 0.5}, "`shutter` must be positive where `readout`"),
+        ({"lens": jaxblur.posts.Lens(3.0)}, "`lens` must be a jaxblur.scenes.ThinLens, got Lens"),
         ({"size": (4,)}, r"`size` must be \(height, width\)"),
     ],
 )

@@ -403,6 +403,8 @@ def test_windows_are_open_as_said():
         (lambda: Shutter.trapezoid(rise=0.7), "`rise` must be in"),
         (lambda: Shutter.gaussian(width=0), "`width` must be above 0"),
         (lambda: Shutter.from_frames(0, 1, exposure=1, curve="sine"), "`curve` must be one of box"),
+        (lambda: Shutter.from_frames(0, 1, exposure=0), "`exposure` must be above 0, got 0"),
+        (lambda: Shutter.from_degrees(0, 180, exposure=-180.0), "`exposure` must be above 0"),
         (lambda: ends_at("middle", 1), "`position` must be one of start"),
         (lambda: check_shutter_record(0.5), "`exposure` must be a jaxblur.Shutter or None, got fl"),
         (lambda: check_shutter_record(Shutter(1, -1)), "`exposure.close` must not be before"),

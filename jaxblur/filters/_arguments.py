@@ -23,7 +23,7 @@ from ..frame import check_frame_type
 from ..noise import Noise
 from ..nonfinite import refuse
 from ..settings import GuertinSettings, Settings, checked_settings
-from .parameters import check_parameters_type
+from .parameters import check_parameters_type, infos_of
 from .registry import FilterInfo, filter_info, names
 
 P = ParamSpec("P")
@@ -161,6 +161,7 @@ def _check_form(
 def _check_types(name: str, kind: type | None, values: Mapping[str, Any]) -> None:
     """Reject values of another type."""
     check_frame_type(values["frame"])
+    _check_arrays(values["frame"])
     parameters = values.get("parameters")
     check_parameters_type(parameters, kind, name)
     if parameters is not None and jax.tree_util.all_leaves([parameters]):
@@ -169,12 +170,30 @@ def _check_types(name: str, kind: type | None, values: Mapping[str, Any]) -> Non
             f"`parameters` must be known to jax, but {given} is not; put "
             f"@jax.tree_util.register_dataclass above {given}."
         )
+    refuse_out_of_range(parameters)
     noise = values.get("noise")
     if noise is not None and not isinstance(noise, Noise):
         raise ValueError(
             f"`noise` must be a jaxblur.Noise or None, got {type(noise).__name__}; pass "
             "jaxblur.Noise(tap, tile)."
         )
+
+
+def _check_arrays(frame: Any) -> None:
+    """Reject buffers that are no arrays of NumPy or JAX, as those of other libraries."""
+    for name, buffer in vars(frame).items():
+        if buffer is None or isinstance(buffer, jax.Array):
+            continue
+        if not isinstance(buffer, np.ndarray | np.generic):
+            raise ValueError(
+                f"`frame.{name}` must be an array of NumPy or JAX, got {type(buffer).__name__}; "
+                "pass np.asarray(...)."
+            )
+        if not buffer.dtype.isnative:
+            raise ValueError(
+                f"`frame.{name}` must have the byte order of this machine, got {buffer.dtype}; "
+                "pass buffer.astype(buffer.dtype.newbyteorder('='))."
+            )
 
 
 def _unknown_option(
@@ -204,6 +223,23 @@ def _unknown_option(
     return f"{name} takes frame, parameters, settings and noise, not `{option}`; leave it out."
 
 
+def refuse_out_of_range(parameters: Any) -> None:
+    """Reject parameters outside their range, and NaN; traced ones cannot be looked at.
+
+    Args:
+        parameters: of a filter, or None.
+
+    Raises:
+        ValueError: a value is known, and out of range.
+    """
+    infos = {} if parameters is None else infos_of(type(parameters))
+    for name, info in infos.items():
+        value = getattr(parameters, name)
+        is_known = isinstance(value, int | float | np.generic) or _is_known(value)
+        if is_known and not np.shape(value) and not info.allows(float(value)):
+            raise ValueError(f"`parameters.{name}` must be {info.range}, got {float(value):g}.")
+
+
 def refuse_nan_motion(frame: Any) -> None:
     """Reject NaN in depth, velocity or path, which would leave a frame sharp without a word.
 
@@ -222,6 +258,26 @@ def refuse_nan_motion(frame: Any) -> None:
             where = np.isnan(np.asarray(buffer))
             where = np.asarray(where.reshape(*where.shape[:2], -1).any(axis=-1))
             refuse(name, where, "NaN", 'pass jaxblur.finite_frame(frame, "ignore")[0]')
+
+
+def refuse_nan_motion_of_any(frames: Any) -> None:
+    """`refuse_nan_motion` for frames that are stacked on a leading axis.
+
+    Args:
+        frames: a `jaxblur.Frame` whose buffers have that axis.
+
+    Raises:
+        ValueError: there is NaN; it names the first frame that has it.
+    """
+    buffers = [getattr(frames, name) for name in ("depth", "velocity", "path")]
+    known = [buffer for buffer in buffers if buffer is not None and _is_known(buffer)]
+    if not any(map(_has_nan, known)):
+        return
+    for number in range(len(frames.color)):
+        try:
+            refuse_nan_motion(jax.tree.map(lambda buffer, k=number: buffer[k], frames))
+        except ValueError as error:
+            raise ValueError(f"frame {number} of `frames`: {error}") from None
 
 
 def _is_known(buffer: object) -> bool:

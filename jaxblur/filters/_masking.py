@@ -1,6 +1,7 @@
 """Leave masked samples out of a filter.
 
-The weights of a filter do not depend on color, and its result is ``sum_i w_i c_i / sum_i w_i``.
+The result of a filter is ``sum_i w_i c_i / sum_i w_i``, with the same weights for all channels of a
+call.
 Filtering ``m c`` and the mask m alike, and dividing, gives ``sum_i w_i m_i c_i / sum_i w_i m_i``:
 a masked sample contributes neither color nor weight, in any filter, for the cost of one more
 channel.

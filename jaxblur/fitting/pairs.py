@@ -37,11 +37,10 @@ class Pair:
     def sha256(self) -> str:
         """Hash every buffer that the fit sees, with its shape."""
         digest = hashlib.sha256()
-        frame = self.frame
-        paths = [] if frame.path is None else [frame.path]
-        for buffer in (frame.color, frame.depth, frame.velocity, *paths, self.truth):
+        named = {name: buffer for name, buffer in vars(self.frame).items() if buffer is not None}
+        for name, buffer in (named | {"truth": self.truth}).items():
             array = np.ascontiguousarray(buffer, np.float32)
-            digest.update(repr(array.shape).encode())
+            digest.update(repr((name, array.shape)).encode())
             digest.update(array.tobytes())
         return digest.hexdigest()
 
@@ -118,7 +117,11 @@ def _make_pair(name: str, frame: Frame, truth: Any) -> Pair:
     if frame.path is not None:
         buffers["path"] = frame.path.reshape(*truth.shape[:2], -1)
     for what, buffer in buffers.items():
-        _refuse_non_finite(name, what, np.isfinite(buffer).all(axis=-1))
+        good = np.isfinite(buffer).all(axis=-1)
+        if what == "color" and frame.valid is not None:
+            # What a mask leaves out may be anything.
+            good = good | (np.asarray(frame.valid) == 0)
+        _refuse_non_finite(name, what, good)
     _refuse_non_finite(name, "depth", ~np.isnan(frame.depth) & ~np.isneginf(frame.depth))
     return Pair(name, frame, truth)
 
@@ -128,7 +131,8 @@ def _refuse_non_finite(name: str, what: str, good: np.ndarray) -> None:
         row, column = np.argwhere(~good)[0]
         raise ValueError(
             f"{name}: {what} is NaN or infinite at {np.count_nonzero(~good)} pixels, the first at "
-            f"row {row}, column {column}; repair the image, or leave the frame out."
+            f"row {row}, column {column}; repair the image, mask such pixels with "
+            'jaxblur.finite_frame(frame, "ignore")[0], or leave the frame out.'
         )
 
 

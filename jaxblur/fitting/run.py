@@ -140,7 +140,7 @@ def fit(
     made = make_pairs(pairs, names)
     _check_sizes(made)
     training, held_out = _split(made, holdout)
-    key = jax.random.key(0) if key is None else key
+    key = _key_of(key)
     fixed = {k: v for k, v in start.items() if k not in free}
     batches = make_batches(training, pixel_weights(training, mask, pixel))
     task = Task(objective, fixed, batches, jax.random.fold_in(key, FITTING))
@@ -272,6 +272,10 @@ def _resolved(loss: Any, info: FilterInfo, settings: Settings) -> Any:
 
 
 def _check_free(info: FilterInfo, free: Sequence[str]) -> None:
+    if isinstance(free, str):
+        raise ValueError(f"`free` must be a list of names, got {free!r}; pass [{free!r}].")
+    if not info.parameter_infos:
+        raise ValueError(f"`filter` must be one with parameters: {info.name} has none to fit.")
     _check_names("free", info, free)
     if not free:
         raise ValueError(f"`free` must name at least one parameter of {info.name}.")
@@ -289,6 +293,15 @@ def _check_sizes(pairs: Sequence[Pair]) -> None:
                 f"{pair.name} has {width}x{height} pixels, but scores need {least}x{least} or more "
                 "(the window of SSIM); render it larger, or leave it out."
             )
+
+
+def _key_of(key: object) -> jax.Array:
+    """The key, or the usual one."""
+    if key is None:
+        return jax.random.key(0)
+    if not isinstance(key, jax.Array):
+        raise ValueError(f"`key` must be a key of jax.random, got {key!r}; pass jax.random.key(0).")
+    return key
 
 
 def _check_counts(**counts: int) -> None:
@@ -333,6 +346,11 @@ def _descend(
     tell: Tell,
 ) -> tuple[State, bool]:
     optimizer = default_optimizer(steps) if optimizer is None else optimizer
+    if not hasattr(optimizer, "update"):
+        raise ValueError(
+            f"`optimizer` must be an optax transformation, got {optimizer!r}; call it, such as "
+            "optax.adam(0.05)."
+        )
     free = to_free(task.objective.filter_name, start, task.objective.free)
     state = State(free, optimizer.init(free))
     hashes = [entry.sha256 for entry in data if entry.part == "train"]

@@ -130,7 +130,8 @@ def check_gradient(
     info = filter_info(filter)
     _check_numbers(step, draws, scales)
     frame, image = _checked_pair(frame, truth)
-    chosen = checked_settings(settings or info.settings, info.kind, info.name)
+    given = info.settings if settings is None else settings
+    chosen = checked_settings(given, info.kind, info.name)
     values = jax.tree.map(
         lambda value: jnp.asarray(value, frame.color.dtype), info.checked_parameters(parameters)
     )

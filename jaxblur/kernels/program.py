@@ -120,7 +120,16 @@ class Image:
 
         Returns:
             One value a channel. Differentiable in the image; the place has no derivative.
+
+        Raises:
+            ValueError: the place is no whole number.
         """
+        for name, place in (("row", row), ("column", column)):
+            if not jnp.issubdtype(jnp.result_type(place), jnp.integer):
+                raise ValueError(
+                    f"`{name}` of Image.read must be a whole number, got one of type "
+                    f"{jnp.result_type(place)}; round it: jnp.floor({name} + 0.5).astype(int)."
+                )
         row, column = jnp.clip(row, 0, self.height - 1), jnp.clip(column, 0, self.width - 1)
         return self.read_inside(row, column, count)
 
@@ -179,7 +188,8 @@ def check_outcome(outcome: object, name: str) -> None:
         name: of the program.
 
     Raises:
-        ValueError: it is no `Outcome`, its values are no tuple, or ``where`` is no condition.
+        ValueError: it is no `Outcome`, its values are no tuple of scalars, or ``where`` is no
+            condition.
     """
     if not isinstance(outcome, Outcome):
         raise ValueError(
@@ -191,6 +201,12 @@ def check_outcome(outcome: object, name: str) -> None:
             f"`Outcome.values` of `{name}` must be a tuple of scalars, one a channel, got "
             f"{type(outcome.values).__name__}; for a single channel write (value,)."
         )
+    for number, value in enumerate(outcome.values):
+        if jnp.shape(value):
+            raise ValueError(
+                f"`Outcome.values` of `{name}` must be scalars, one a channel, got shape "
+                f"{jnp.shape(value)} for channel {number}; give its elements one by one."
+            )
     if outcome.where is not None and jnp.result_type(outcome.where) != jnp.bool_:
         raise ValueError(
             f"`Outcome.where` of `{name}` must be a condition, such as speed > 0.5, got a value of "

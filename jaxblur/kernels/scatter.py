@@ -59,7 +59,7 @@ def _by_scatter(stages: Stages, plan: Plan, leaves: Any, length: int) -> jax.Arr
     most = jnp.max(limit(prepared)).astype(jnp.int32)
 
     def add(index: jax.Array, table: jax.Array) -> jax.Array:
-        numbers = sample(index[None], place, prepared, tables)
+        numbers = sample(jnp.asarray(index)[None], place, prepared, tables)
         shape = plan.grid.height, plan.grid.width, 1
         places, marks = (
             jnp.stack([jnp.broadcast_to(number, shape) for number in part]).reshape(-1)

@@ -55,8 +55,11 @@ def display(image: Image) -> Float[jax.Array, "height width 3"]:
 
 
 def of_one_shape(image: Any, truth: Any) -> tuple[jax.Array, jax.Array]:
-    """Convert both to JAX arrays of equal shape; broadcasting is not allowed."""
-    image, truth = jnp.asarray(image), jnp.asarray(truth)
+    """Convert both to JAX arrays of floats and of equal shape; broadcasting is not allowed.
+
+    Differences of whole numbers would wrap around.
+    """
+    image, truth = (_as_floats(values) for values in (image, truth))
     if image.shape != truth.shape:
         raise ValueError(
             f"`image` and `truth` must have one shape, got {image.shape} and {truth.shape}."
@@ -64,11 +67,21 @@ def of_one_shape(image: Any, truth: Any) -> tuple[jax.Array, jax.Array]:
     return image, truth
 
 
+def _as_floats(values: Any) -> jax.Array:
+    array = jnp.asarray(values)
+    return array.astype(jnp.promote_types(array.dtype, jnp.float32))
+
+
 def masked_mean(values: jax.Array, mask: Mask | None) -> jax.Array:
     """Mean of (H, W, C) values over the pixels of a mask and all channels."""
     if mask is None:
         return jnp.mean(values)
-    return jnp.mean(values, where=jnp.broadcast_to(jnp.asarray(mask)[..., None], values.shape))
+    mask = jnp.asarray(mask)
+    if mask.shape != values.shape[:2]:
+        raise ValueError(
+            f"`mask` must have the size of the images, {values.shape[:2]}, got {mask.shape}."
+        )
+    return jnp.mean(values, where=jnp.broadcast_to(mask[..., None], values.shape))
 
 
 def absolute(values: jax.Array) -> jax.Array:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from ..frame import Frame
 from ..kernels import At, Image
 
 
@@ -21,6 +22,8 @@ def checked_image(image: ArrayLike, name: str = "image") -> Float[Array, "height
     Raises:
         ValueError: it has another number of axes, or no pixels.
     """
+    if isinstance(image, Frame):
+        raise ValueError(f"`{name}` must be an array, got a Frame; pass frame.color.")
     array = jnp.asarray(image)
     if array.ndim != 3:
         raise ValueError(

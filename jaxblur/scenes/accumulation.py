@@ -59,6 +59,11 @@ def accumulate(
     check_exposure(shutter, size)
     if samples < 1:
         raise ValueError(f"`samples` must be at least 1, got {samples}.")
+    if lens is not None and not isinstance(lens, ThinLens):
+        raise ValueError(
+            f"`lens` must be a jaxblur.scenes.ThinLens, got {type(lens).__name__}; pass "
+            "jaxblur.scenes.ThinLens(...)."
+        )
     if readout and not shutter:
         raise ValueError("`shutter` must be positive where `readout` is not 0, got 0.")
     center = exposure_center(time, shutter, placement)
