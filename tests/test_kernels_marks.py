@@ -103,6 +103,13 @@ def test_a_batch_is_one_after_the_other(backend):
         np.testing.assert_array_equal(table, by_loops(one))
 
 
+def test_it_works_without_jit():
+    planes = lines((3, 4))
+    expected = marks_of(planes, "xla")
+    with jax.disable_jit():
+        np.testing.assert_array_equal(marks_of(planes, "xla"), expected)
+
+
 def test_float64_is_left_to_xla_or_rejected():
     with jax.enable_x64(True):
         planes = tuple(plane.astype(jnp.float64) for plane in lines((4, 20)))
