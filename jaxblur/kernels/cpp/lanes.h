@@ -427,8 +427,8 @@ static inline void make_rows(const Floats* a, Floats* rows) {
 }
 #endif
 
-/* Adds a row of neighbors a lane. Lanes may meet at one place, so they add in turn. Only rows of
-   four are added whole: others would overlap, and what was just stored in part is slow to load. */
+/* Adds a row of neighbors. Only rows of four are added whole: others would overlap, and what was
+   just stored in part is slow to load. */
 template <int COLUMNS>
 static inline void add_one(float* place, const float* row) {
   if (COLUMNS == 4) {
@@ -442,6 +442,7 @@ static inline void add_one(float* place, const float* row) {
     for (int c = 0; c < COLUMNS; ++c) place[c] += row[c];
   }
 }
+/* Adds a row of neighbors a lane. Lanes may meet at one place, so they add in turn. */
 template <int COLUMNS>
 static inline void add(float* table, Ints index, const Floats (&values)[COLUMNS], int lanes) {
   Ints some = {};
