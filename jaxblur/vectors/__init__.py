@@ -19,7 +19,7 @@ previous, current and next positions, and the frame stores the ends of that path
 
 If the convention of a file is unknown, `rank_conventions` warps the next frame back under each
 candidate and ranks the candidates by how well the pictures agree. `check_convention` tests one, by
-the rules of the README.
+the rules of the README, and `measure_span` finds the time that vectors cover.
 """
 
 from .conformance import Finding as Finding, check_convention as check_convention
@@ -47,7 +47,13 @@ from .presets import (
     Preset as Preset,
     VectorPair as VectorPair,
 )
-from .rank import Candidate as Candidate, Ranking as Ranking, rank_conventions as rank_conventions
+from .rank import (
+    UNITS as UNITS,
+    Candidate as Candidate,
+    Ranking as Ranking,
+    rank_conventions as rank_conventions,
+)
+from .span import measure_span as measure_span
 from .statistics import (
     SpeedStatistics as SpeedStatistics,
     speed_statistics as speed_statistics,

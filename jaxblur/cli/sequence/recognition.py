@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import logging
 import pathlib
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +13,10 @@ LOG = logging.getLogger("jaxblur")
 
 PAIRS = 3
 """Pairs of frames that are tried; in the first ones of a shot nothing may move yet."""
+USUAL_SPANS = (0.5, 1.0, 0.25, 0.75)
+"""Exposures in frames that are taken for what was measured, if they are near."""
+NEAR = 0.05
+"""Share by which a measured span may differ from the true one."""
 BY_DEFINITION = ("pixel", "uv", "ndc")
 
 
@@ -58,7 +63,7 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
         if not channels:
             return
         for pair in pairs:
-            ranking = _ranked(arguments, pair, channels)
+            ranking = _ranked(arguments, pair, channels, known)
             if ranking is not None and ranking.is_explained and not ranking.undecided:
                 _adopt(arguments, pair, known, ranking)
                 return
@@ -68,10 +73,23 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
         return
     first = pairs[0]
     LOG.info(
-        "vectors: what they mean does not show between frames %d and %d; check it with: jaxblur "
-        "vectors %s --next %s",
-        *(*first.numbers, first.now, first.following),
+        "vectors: what they mean does not show between frames %d and %d; check it with: %s",
+        *(*first.numbers, _check_of(arguments, first)),
     )
+
+
+def _check_of(arguments: argparse.Namespace, pair: _Pair) -> str:
+    """The command line that ranks the readings of the vectors of a frame."""
+    words = ["jaxblur", "vectors", pair.now, "--next", pair.following]
+    if arguments.velocity_channels:
+        words += ["--velocity-channels", ",".join(arguments.velocity_channels)]
+    if arguments.layer:
+        words += ["--layer", arguments.layer]
+    if arguments.max_displace:
+        words += ["--max-displace", f"{arguments.max_displace:g}"]
+    if arguments.file_shutter:
+        words += ["--shutter", f"{arguments.file_shutter:g}"]
+    return shlex.join(map(str, words))
 
 
 def _pairs(sources: Mapping[str, Any]) -> list[_Pair]:
@@ -125,7 +143,7 @@ def _unnamed(arguments: argparse.Namespace, pair: _Pair) -> list[str]:
     return list(found)
 
 
-def _ranked(arguments: argparse.Namespace, pair: _Pair, channels: list[str]) -> Any:
+def _ranked(arguments: argparse.Namespace, pair: _Pair, channels: list[str], known: Any) -> Any:
     """Rank the readings of the vectors by one pair of frames; None if it cannot tell."""
     from jaxblur import exr, vectors
 
@@ -135,12 +153,12 @@ def _ranked(arguments: argparse.Namespace, pair: _Pair, channels: list[str]) -> 
     )
     info = exr.inspect(pair.vectors)
     *_, width, height = info.parts[info.channel(channels[0]).part].display_window
-    raw = exr.read_channels(pair.vectors, channels)
+    raw, size = exr.read_channels(pair.vectors, channels), (height, width)
     try:
         return vectors.rank_conventions(
             *(now, following, raw, channels),
-            shutter=_span(arguments),
-            size=(height, width),
+            shutter=_span(arguments, known, now, following, raw, size),
+            size=size,
             max_displace=arguments.max_displace,
         )
     except ValueError as error:
@@ -148,9 +166,25 @@ def _ranked(arguments: argparse.Namespace, pair: _Pair, channels: list[str]) -> 
         return None
 
 
-def _span(arguments: argparse.Namespace) -> float:
-    """The exposure that the vectors may span."""
-    return arguments.file_shutter or arguments.shutter or 0.5
+def _span(
+    arguments: argparse.Namespace, known: Any, now: Any, following: Any, raw: Any, size: Any
+) -> float:
+    """The exposure that the vectors may span; measured where names say that they span one."""
+    from jaxblur import vectors
+
+    given = arguments.file_shutter or arguments.shutter or 0.5
+    if not known or known.preset.span != "shutter" or now.shape != following.shape:
+        return given
+    motion = vectors.to_displacements(
+        raw, known, size=size, max_displace=arguments.max_displace, file_shutter=1.0
+    )
+    side = motion.previous if motion.next is None else motion.next
+    measured = vectors.measure_span(now, following, side)
+    if measured is None:
+        return given
+    # The measurement is known to a few percent.
+    near = (span for span in (given, *USUAL_SPANS) if abs(measured / span - 1) <= NEAR)
+    return next(near, round(measured, 3))
 
 
 def _adopt(arguments: argparse.Namespace, pair: _Pair, known: Any, ranking: Any) -> None:
@@ -162,6 +196,13 @@ def _adopt(arguments: argparse.Namespace, pair: _Pair, known: Any, ranking: Any)
         f"it brings frame {pair.numbers[1]} onto {pair.numbers[0]} best, error {best.error:.4f} "
         f"against {ranking.still_error:.4f} if nothing moved"
     )
+    if _contradicts(arguments, known, best):
+        given = arguments.file_shutter
+        LOG.warning(
+            "vectors: --file-shutter %g is used as given, but they fit --file-shutter %g: %s",
+            *(given, best.span, f"at that span {why}"),
+        )
+        return
     if known and known.preset.name in best.presets:
         LOG.info("vectors: %s by name, and by measurement: %s", known.preset.name, why)
         name = known.preset.name
@@ -189,8 +230,25 @@ def _adopt(arguments: argparse.Namespace, pair: _Pair, known: Any, ranking: Any)
         if known and arguments.depth == "auto":
             # Only the vectors were measured; depth is what names say.
             arguments.depth = known.preset.depth
-    if vectors.PRESETS[name].span == "shutter":
+    if vectors.PRESETS[name].span == "shutter" and arguments.file_shutter is None:
         arguments.file_shutter = best.span
+        LOG.info("vectors: --file-shutter %g (measured)", best.span)
+
+
+def _contradicts(arguments: argparse.Namespace, known: Any, best: Any) -> bool:
+    """Whether the best reading is that of the names, but for the ``--file-shutter`` given."""
+    from jaxblur import vectors
+
+    given = arguments.file_shutter
+    if not known or known.preset.span != "shutter" or given is None:
+        return False
+    pairs = [known.channels[k : k + 2] for k in range(0, len(known.channels), 2)]
+    if best.channels not in pairs or abs(best.span / given - 1) <= NEAR:
+        return False
+    pair = known.layout[pairs.index(best.channels)]
+    signs = pair.time * pair.sign_x, pair.time * pair.sign_y
+    same_unit = vectors.UNITS[best.unit] == known.preset.scale
+    return same_unit and signs == (best.sign_x, best.sign_y)
 
 
 def _preference(name: str) -> tuple[bool, bool]:
