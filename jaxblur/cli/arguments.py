@@ -9,6 +9,7 @@ import pathlib
 import re
 import sys
 import textwrap
+import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -26,11 +27,13 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         more_help: function that gives text to show below the options.
+        elsewhere: options of another command that this one has not, each with the remedy.
         instead_of_more: function of the names given and of those left over, for a command that
             takes one: says how to give several.
     """
 
     more_help: Any = None
+    elsewhere: Mapping[str, str] = types.MappingProxyType({})
     instead_of_more: Callable[[Sequence[str], Sequence[str]], str] | None = None
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -83,6 +86,8 @@ class Parser(argparse.ArgumentParser):
                 self.error(
                     f"{before} {text}: a value that begins with - is given as {before}={text}"
                 )
+            if name in self.elsewhere:
+                self.error(f"{name}: {self.elsewhere[name]}")
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             self.error(f"unknown option {name}{hint}")

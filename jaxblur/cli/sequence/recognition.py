@@ -178,8 +178,8 @@ def _span(
     motion = vectors.to_displacements(
         raw, known, size=size, max_displace=arguments.max_displace, file_shutter=1.0
     )
-    side = motion.previous if motion.next is None else motion.next
-    measured = vectors.measure_span(now, following, side)
+    sides = [side for side in (motion.next, motion.previous) if side is not None]
+    measured = vectors.measure_span(now, following, sides[0])
     if measured is None:
         return given
     # The measurement is known to a few percent.
