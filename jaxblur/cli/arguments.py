@@ -146,6 +146,8 @@ _OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance", "tolerance_jod":
 def in_option_names(message: str, options: Mapping[str, Any]) -> str:
     """Replace the library's argument names by the options of the command line.
 
+    Of two alternatives of which the command has one, that one is left.
+
     Args:
         message: an error message of the library.
         options: what the command can be given, by argument name.
@@ -167,6 +169,11 @@ def in_option_names(message: str, options: Mapping[str, Any]) -> str:
             return match[0]
         return f"{flag(name)}={value}" if value else flag(name)
 
+    def choose(match: re.Match[str]) -> str:
+        known = [name for name in match.groups() if name in options]
+        return f"`{known[0]}`" if len(known) == 1 else match[0]
+
+    message = re.sub(r"`(\w+)` or `(\w+)`", choose, message)
     return re.sub(r"`(?P<quoted>[\w.]+)`|\b(?P<name>\w+)='(?P<value>[^']*)'", rename, message)
 
 

@@ -268,4 +268,5 @@ def _in_front(motion: np.ndarray, depth: np.ndarray, here: np.ndarray, there: np
     words = f"the nearer of two points is seen in {100 * share:.0f} % of {count} pixels"
     if share >= 0.6:
         return "V7 in front", "holds", words
-    return "V7 in front", "fails" if share <= 0.4 else "undecided", f"{words}: -z, or 1/z?"
+    cause = ": likely depth of another kind, such as -z or 1/z"
+    return "V7 in front", "fails" if share <= 0.4 else "undecided", f"{words}{cause}"
