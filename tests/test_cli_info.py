@@ -293,7 +293,7 @@ def test_a_layer_without_vectors_says_how_to_blur_it(tmp_path):
     words = refused("blur", CUBE, "-o", tmp_path / "out.exr", *given)
     assert "layer 'ViewLayer.Noisy Image' has no vectors of its own, and the file has" in words
     colors = ",".join(f"ViewLayer.Noisy Image.{c}" for c in "RGBA")
-    assert f"give its color as --color-channels, {colors.replace(',', ', ')}, in place of" in words
+    assert f"give --color-channels '{colors}' in place of --layer; or else" in words
     out = tmp_path / "out.exr"
     few = ("--filter", "pixel_velocity", "--samples", "5")
     assert run("blur", CUBE, "-o", out, *few, "--color-channels", colors).status == 0

@@ -112,8 +112,10 @@ def test_a_line_for_each_frame_and_remarks_once(shot):
 
 def test_only_the_frames_asked_for(shot):
     path, command = shot
-    assert run(*command, "--frames", "1001-1005x2").status == 0
+    outcome = run(*command, "--frames", "1001-1005x2")
+    assert outcome.status == 0 and "jaxblur: 3 frames: 3 blur" in outcome.err
     assert written(path) == all_names((1001, 1003, 1005))
+    assert "jaxblur: 1 frame: 1 blur" in run(*command, "--frames", "1002").err
 
 
 def test_a_gap_is_reported_and_the_rest_done(shot):

@@ -10,7 +10,6 @@ from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
 from jaxblur.settings import GuertinSettings, Settings, choices_of
 
 from .arguments import CommandError, did_you_mean, one_of, positive_integer, positive_number
-from .console import print_line
 
 DEFAULT_FILTER = "layered"
 FITTED_FILTER = "guertin2014"
@@ -138,7 +137,7 @@ def samples_of(usual: int, quality: str) -> int:
 
 
 def add_nonfinite_option(group: Any) -> None:
-    """Add the option for NaN and infinity; `report_ignored` prints their count.
+    """Add the option for NaN and infinity; reading a frame warns of their number.
 
     Args:
         group: of a parser.
@@ -148,19 +147,8 @@ def add_nonfinite_option(group: Any) -> None:
         choices=("error", "ignore"),
         default="error",
         help="NaN and infinity: reject the frame, or ignore them (such colors are left out, such "
-        "vectors become zero, such depths sky) and print their number (default %(default)s)",
+        "vectors become zero, such depths sky) and warn of their number (default %(default)s)",
     )
-
-
-def report_ignored(path: Any, ignored: Any) -> None:
-    """Print how many pixels of a frame were left out, if there were any.
-
-    Args:
-        path: the frame.
-        ignored: a `jaxblur.nonfinite.Ignored`.
-    """
-    if ignored:
-        print_line(f"{path}: not finite: {ignored}")
 
 
 def add_parameters_option(group: Any) -> None:

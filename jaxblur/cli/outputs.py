@@ -77,6 +77,10 @@ def check_output(arguments: argparse.Namespace) -> None:
     output = arguments.output
     if output.is_dir():
         raise CommandError(f"{output}: is a folder; give a file name.")
+    if not output.suffix:
+        takes_folders = "inputs" in arguments
+        why = "no such folder; create it, or give" if takes_folders else "has no extension; give"
+        raise CommandError(f"{output}: {why} a file, such as {output}.exr.")
     if output.suffix.lower() not in exr.WRITABLE:
         raise CommandError(
             f"{output}: can write {', '.join(exr.WRITABLE)} only; change the extension."

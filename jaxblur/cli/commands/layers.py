@@ -180,5 +180,12 @@ def _check(arguments: argparse.Namespace) -> None:
                 f"--{side}: needs one file for each layer, {len(arguments.stack)}, in their "
                 f"order; got {len(given)}."
             )
+    names = [(name.path.resolve(), name.layer) for name in arguments.layers]
+    for number, name in enumerate(names, 1):
+        if number > (first := names.index(name) + 1):
+            raise CommandError(
+                f"{arguments.layers[number - 1].text}: layer {number} is layer {first} again; "
+                "leave it out, or name another layer of the file as FILE:LAYER."
+            )
     if all(place.holdout for place in arguments.stack):
         raise CommandError("--holdout: nothing is left to be seen; leave it out for one layer.")
