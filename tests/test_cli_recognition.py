@@ -1,6 +1,7 @@
 """``jaxblur blur`` on sequences whose vectors no name identifies: measured on their frames."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -154,7 +155,62 @@ def test_depth_is_read_as_the_names_say(tmp_path):
     assert 'depth = "1/z"' in settings(tmp_path)
 
 
-def test_verified_names_and_given_presets_are_not_measured(tmp_path):
+def test_verified_names_are_not_measured(tmp_path):
     command = write_shot(tmp_path, ("velocity.X", "velocity.Y"), lambda x, y: (x, y))
     assert "brings frame" not in run(*command).err
-    assert "brings frame" not in run(*command, "--preset", "uv", "--overwrite").err
+
+
+BLENDER = ("Vector.X", "Vector.Y", "Vector.Z", "Vector.W")
+
+
+@pytest.mark.parametrize(
+    ("names", "encode", "given", "words"),
+    [
+        (("mv.R", "mv.G"), lambda x, y: (x, y), ("uv",), "--preset uv is used as given, but they "),
+        (("mv.R", "mv.G"), lambda x, y: (x, y), ("pixel",), None),
+        (("mv.R", "mv.G"), fractions, ("pixel",), "but they fit --preset unity: it brings"),
+        (("mv.R", "mv.G"), fractions, ("unity",), None),
+        (BLENDER, lambda x, y: (-x, y, -x, y), ("blender",), None),
+        (
+            BLENDER,
+            lambda x, y: (x, -y, x, -y),
+            ("blender",),
+            "but they fit --preset fusion --velocity-channels Vector.X,Vector.Y: it brings",
+        ),
+        (
+            ("motionvector.X", "motionvector.Y"),
+            lambda x, y: (x / 2, -y / 2),
+            ("arnold", "--file-shutter", "0.5"),
+            None,
+        ),
+        (
+            ("motionvector.X", "motionvector.Y"),
+            lambda x, y: (x / 2, -y / 2),
+            ("arnold", "--file-shutter", "0.2"),
+            "--file-shutter 0.2 is used as given, but they fit --file-shutter 0.5: at that",
+        ),
+    ],
+)
+def test_a_given_convention_is_used_and_a_better_one_named(tmp_path, names, encode, given, words):
+    command = write_shot(tmp_path, names, encode)
+    outcome = run(*command, "--preset", *given)
+    assert outcome.status == 0
+    assert f'preset = "{given[0]}"' in settings(tmp_path)
+    if words is None:
+        assert "brings" not in outcome.err
+    else:
+        assert words in said(outcome) and "warning: vectors: " in said(outcome)
+
+
+def test_a_given_convention_is_compared_where_motion_leaves_signs_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "MOTION", (5.0, 0.0))
+    command = write_shot(tmp_path, ("mv.R", "mv.G"), lambda x, y: (x, y))
+    line = said(run(*command, "--preset", "uv"))
+    assert "but they fit another convention, see `jaxblur vectors " in line
+
+
+def test_a_given_convention_that_frames_neither_confirm_nor_contradict(tmp_path):
+    still = write_shot(tmp_path, ("mv.R", "mv.G"), lambda x, y: (x, y), moving=False)
+    outcome = run(*still, "--preset", "uv")
+    assert outcome.status == 0 and "brings" not in outcome.err
+    assert "check it with" not in outcome.err

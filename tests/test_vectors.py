@@ -358,6 +358,18 @@ def test_candidates_that_leave_most_of_the_difference_explain_nothing():
     assert not vectors.rank_conventions(now, following, vector).is_explained
 
 
+def test_the_difference_that_vectors_leave():
+    y, x = np.mgrid[:40, :60].astype(np.float32)
+    now, following = (np.sin((x - s) / 3 + y / 5)[..., None] + 1 for s in (0, 2))
+    motion = np.zeros((40, 60, 2), np.float32)
+    assert vectors.difference_left(now, following, motion) is None
+    motion[5:30, 10:50, 0] = 2
+    assert vectors.difference_left(now, following, motion) == pytest.approx(0, abs=1e-3)
+    against = vectors.difference_left(now, following, -motion)
+    assert against is not None and against > 1.5
+    assert vectors.difference_left(now, now, motion) is None
+
+
 def test_ranking_finds_blender_vectors_in_a_rendered_pair():
     guess = vectors.guess_preset(exr.inspect(CUBE).channel_names)
     raw = exr.read_channels(CUBE, guess.channels)

@@ -1,4 +1,4 @@
-"""Measure the time that motion vectors cover, from two frames."""
+"""Measure the time that motion vectors cover, and what they explain, from two frames."""
 
 from __future__ import annotations
 
@@ -57,6 +57,39 @@ def measure_span(
         The span in frames, from 1/8 to 8; None if the frames agree at no length, or hardly anything
         moves.
     """
+    moving = _moving(color, following, motion)
+    if moving is None:
+        return None
+    taken, difference_left = moving
+    scale = best_scale(taken, difference_left)
+    return 1 / abs(float(scale[0])) if difference_left(taken * scale) <= EXPLAINED else None
+
+
+def difference_left(
+    color: Float[np.ndarray, "height width channels"],
+    following: Float[np.ndarray, "height width channels"],
+    motion: Float[np.ndarray, "height width 2"],
+) -> float | None:
+    """Measure how much of the difference of two frames vectors leave, on the pixels that move.
+
+    Args:
+        color: (H, W, C) linear light, the frame that the vectors belong to.
+        following: (H, W, C) the next frame.
+        motion: (H, W, 2) displacements to the next frame, pixels, x right, y down.
+
+    Returns:
+        The difference after the next frame is warped back, as a share of that without motion: 0 for
+        vectors that explain all of it, 1 for those that explain nothing, more for wrong ones. None
+        if hardly anything moves.
+    """
+    moving = _moving(color, following, motion)
+    return None if moving is None else moving[1](moving[0])
+
+
+def _moving(
+    color: np.ndarray, following: np.ndarray, motion: np.ndarray
+) -> tuple[np.ndarray, Error] | None:
+    """The vectors of moving pixels, and the error of other ones there, as `difference_left`."""
     motion = np.where(np.isfinite(motion), motion, 0)
     lengths = np.linalg.norm(motion, axis=-1)
     moving = lengths > 0.05 * float(np.percentile(lengths, 99.9))
@@ -66,12 +99,11 @@ def measure_span(
     taken = motion[rows, columns].astype(np.float64)
     now, there = compressed(color)[rows, columns], compressed(following)
     still = differences(now, there, rows, columns, np.zeros_like(taken))
+    if not still.any():
+        return None
 
     def error(vectors: np.ndarray) -> float:
         found = differences(now, there, rows, columns, vectors)
-        return float(np.mean(np.where(np.isnan(found), still, found)))
+        return float(np.mean(np.where(np.isnan(found), still, found)) / np.mean(still))
 
-    scale = best_scale(taken, error)
-    if error(taken * scale) > EXPLAINED * float(np.mean(still)):
-        return None
-    return 1 / abs(float(scale[0]))
+    return taken, error
