@@ -367,7 +367,7 @@ def test_a_file_that_cannot_be_listed_does_not_keep_the_others_from_it(tmp_path)
 def test_info_says_where_its_radius_comes_from():
     usual = jaxblur.filter_info("layered").settings.radius
     out = run("info", CAR).out
-    assert f"beyond {usual} px: what layered, the default filter, shortens to its default" in out
+    assert f"shortens half-spreads beyond its default --radius, {usual} px" in out
     assert "the default filter" not in run("info", CAR, "--radius", "5").out
 
 
