@@ -205,9 +205,7 @@ def complete(
         )
     usual, values = info.settings, dict(arguments.param)
     if fitted:
-        source = str(arguments.parameters)
-        usual = fitted.filter_settings
-        values = checked_parameters(info, fitted.parameters, source) | values
+        usual, values = fitted.filter_settings, fitted.parameters | values
     known = {field.name for field in dataclasses.fields(info.kind)}
     every = ("samples", "radius", "spacing", "temperature", *CHOICES)
     given = {name: value for name in every if (value := getattr(arguments, name))}
@@ -266,15 +264,12 @@ def filter_name(text: str) -> str:
     return f"{pathlib.Path(path).resolve()}:{name}"
 
 
-def checked_parameters(
-    info: FilterInfo, given: Mapping[str, float], source: str = "--param"
-) -> dict[str, float]:
+def checked_parameters(info: FilterInfo, given: Mapping[str, float]) -> dict[str, float]:
     """Complete the parameters of a filter by their defaults.
 
     Args:
         info: the filter.
         given: values by parameter name.
-        source: where they come from, for the message.
 
     Returns:
         All parameters of the filter.
@@ -282,11 +277,11 @@ def checked_parameters(
     Raises:
         CommandError: the filter has no such parameter, or a value is out of range.
     """
-    check_names(info, given, source)
+    check_names(info, given, "--param")
     for name, value in given.items():
         if not info.parameter_infos[name].allows(value):
             allowed = info.parameter_infos[name].range
-            raise CommandError(f"{source}: {name} must be {allowed}, got {value:g}.")
+            raise CommandError(f"--param: {name} must be {allowed}, got {value:g}.")
     return info.defaults | dict(given)
 
 
