@@ -265,18 +265,20 @@ def check_frame(frame: Frame) -> Frame:
     if color.ndim != 3:
         raise ValueError(
             f"`frame.color` must have shape (height, width, channels), got {color.shape}; "
-            "add a channel axis, or apply jax.vmap over a batch axis."
+            "add a channel axis (color[..., None]), or apply jax.vmap over a batch axis."
         )
     size = color.shape[:2]
     expected = {"depth": size, "velocity": (*size, 2), "path": (*size, 2, 2), "valid": size}
     if "guide" in buffers:
         # Any number of channels will do.
-        expected["guide"] = (*size, buffers["guide"].shape[-1] if buffers["guide"].ndim == 3 else 3)
+        expected["guide"] = (*size, buffers["guide"].shape[-1] if buffers["guide"].ndim == 3 else 1)
     for name, shape in expected.items():
         if name in buffers and buffers[name].shape != shape:
+            without_channels = name == "guide" and buffers[name].shape == size
+            remedy = "; pass guide[..., None]" if without_channels else ""
             raise ValueError(
                 f"`frame.{name}` must have shape {shape} to match `frame.color`, "
-                f"got {buffers[name].shape}."
+                f"got {buffers[name].shape}{remedy}."
             )
     if 0 in color.shape:
         raise ValueError(f"`frame.color` must not be empty, got shape {color.shape}.")

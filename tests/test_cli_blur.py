@@ -372,6 +372,10 @@ def test_an_output_below_a_file_names_it_once(tmp_path):
     assert f"{tmp_path / 'text.exr'}: is not a folder; choose another name" in message
     message = refused("blur", CAR, "-o", tmp_path / "new" / "out.exr")
     assert f"no folder {tmp_path / 'new'}; create it first" in message
+    message = refused("blur", CAR, "-o", tmp_path / "new")
+    assert (
+        f"new: no such folder; create it, or give a file, such as {tmp_path / 'new'}.exr" in message
+    )
 
 
 def test_nan_vectors_are_refused_by_name_or_taken_as_still_with_a_warning(tmp_path):
@@ -384,7 +388,9 @@ def test_nan_vectors_are_refused_by_name_or_taken_as_still_with_a_warning(tmp_pa
     assert not out.exists()
     outcome = run("blur", frame, "-o", out, "--nonfinite", "ignore")
     assert outcome.status == 0 and "jaxblur: warning: " in outcome.err
-    assert "1 vectors taken as still" in outcome.out
+    assert (
+        "velocity.X, velocity.Y: 1 of 192 pixels are NaN or infinite, and are taken" in outcome.err
+    )
     assert np.isfinite(exr.read_image(out)).all()
 
 

@@ -249,7 +249,7 @@ def test_info_lists_names_and_identifiers(tmp_path):
     many = write_single(tmp_path / "b.exr", channels, **notes(names=names))
     hero = f"{exr.identifier_of('/hero'):08x}"
     out = run("info", source).out
-    assert "Cryptomatte CryptoObject: 6 ranks, 3 names in the manifest" in out
+    assert "Cryptomatte CryptoObject: 6 ranks, manifest of 3 names" in out
     assert ["/hero", hero] in [line.split() for line in out.splitlines()]
     out = run("info", many).out
     assert "/set/thing19" in out and "/set/thing20" not in out and "and 10 more; -v" in out

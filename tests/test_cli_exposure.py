@@ -173,6 +173,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path, options, words):
         ("0.2x\n1\n0\n", "line 1 holds something else than numbers"),
         ("time, 1e-\n0, 1\n1, 1\n", "line 1 holds something else than numbers"),
         ("1\n", "a curve has 2 to 10000 points, one in each line; got 1"),
+        ("a b\n", "got 0, since line 1 (a b) is taken as the names of the columns"),
         ("", "got 0"),
         ("0\n-1\n", "must not be negative"),
         ("0\n0\n", "not 0 everywhere"),

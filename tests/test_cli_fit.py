@@ -89,7 +89,7 @@ def test_blur_uses_filter_parameters_and_settings_and_options_override(fitted, t
     [
         ('filter = "guertin2014"', 'filter = "box"', "'filter' must be one of guertin2014"),
         ("schema = 1", "schema = 9", "must be 1, got 9"),
-        ("gamma = 2.0", "gamma = -2.0", "gamma must be above 0 px, got -2"),
+        ("gamma = 2.0", "gamma = -2.0", "'parameters.gamma' must be above 0 px, got -2"),
         ("steps = 3", "steps = 3\nstep = 4", "unknown key 'step'"),
         ("radius = 20", "radius = 20\nradios = 3", "unknown key 'settings.radios'"),
         ("radius = 20", "radius = -1", "bad.toml: 'radius' must be at least 1, got -1"),

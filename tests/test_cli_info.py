@@ -293,7 +293,7 @@ def test_a_layer_without_vectors_says_how_to_blur_it(tmp_path):
     words = refused("blur", CUBE, "-o", tmp_path / "out.exr", *given)
     assert "layer 'ViewLayer.Noisy Image' has no vectors of its own, and the file has" in words
     colors = ",".join(f"ViewLayer.Noisy Image.{c}" for c in "RGBA")
-    assert f"give its color as --color-channels, {colors.replace(',', ', ')}, in place of" in words
+    assert f"give --color-channels '{colors}' in place of --layer; or else" in words
     out = tmp_path / "out.exr"
     few = ("--filter", "pixel_velocity", "--samples", "5")
     assert run("blur", CUBE, "-o", out, *few, "--color-channels", colors).status == 0
@@ -367,7 +367,7 @@ def test_a_file_that_cannot_be_listed_does_not_keep_the_others_from_it(tmp_path)
 def test_info_says_where_its_radius_comes_from():
     usual = jaxblur.filter_info("layered").settings.radius
     out = run("info", CAR).out
-    assert f"beyond {usual} px: what layered, the default filter, shortens to its default" in out
+    assert f"shortens half-spreads beyond its default --radius, {usual} px" in out
     assert "the default filter" not in run("info", CAR, "--radius", "5").out
 
 

@@ -1,10 +1,14 @@
 """``jaxblur layers``: files, parts, sequences and deep files, blurred together."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import jaxblur
 from jaxblur import exr
+from jaxblur.cli.commands.layers import ELSEWHERE
+from jaxblur.cli.main import build_parser
 from tests.command_line import refused, run
 from tests.exr_files import make_spec, write_parts, write_single
 from tests.test_exr_deep import CHANNELS, DISCS, SIZE, disc, psnr, truth, write_deep
@@ -226,11 +230,14 @@ def test_layers_given_back_to_front_are_told(files):
         (("hero.exr:villain", "street.exr"), "hero.exr: no layer 'villain'"),
         (("hero.exr", "street.exr", "--holdout", "3"), "--holdout 3: no layer of that name; there"),
         (("hero.exr", "--holdout", "hero"), "--holdout: nothing is left to be seen"),
-        (("hero.exr", "small.exr"), "small.exr has the data window 8x6 at (0, 0), but hero.exr"),
-        (("hero.exr", "street.exr", "--split", "even"), "unknown option --split"),
+        (("hero.exr", "small.exr"), "small.exr: the data window is 8x6 at (0, 0), but that of her"),
+        (("hero.exr", "street.exr", "./hero.exr"), "hero.exr: layer 3 is layer 1 again; leave it"),
+        (("hero.exr", "street.exr", "--split", "even"), "--split: layers are blurred by layered"),
+        (("hero.exr", "street.exr", "--focus", "4"), "--focus: layers are blurred by motion alone"),
+        (("hero.exr", "street.exr", "--splitt"), "unknown option --splitt"),
         (("hero.exr", "street.exr", "--before", "hero.exr"), "--before: needs one file for each"),
         (("wrong.exr", "street.exr"), "wrong.exr: A: alpha from 0 to 7"),
-        (("hero.exr", "gray.exr"), "gray.exr has 2 color channels with alpha, but hero.exr has 4"),
+        (("hero.exr", "gray.exr"), "gray.exr: 2 color channels with alpha, but hero.exr has 4"),
         (("hero.exr", "missing.exr"), "missing.exr: no such file"),
         (("many.exr",), "choose one as FILE:LAYER"),
         (("nodepth.exr", "street.exr"), "give --depth-channel, or --depth=flat"),
@@ -247,3 +254,13 @@ def test_what_is_no_stack_of_layers_is_refused(files, monkeypatch, arguments, sa
     gray = back_at(0)
     write_single("gray.exr", {"Y": gray["R"]} | {n: gray[n] for n in (*CHANNELS[4:],)})
     assert says in refused("layers", *arguments, "-o", "out.exr")
+
+
+def test_every_option_of_blur_is_taken_or_has_a_remedy():
+    parser: Any = build_parser()
+    (commands,) = parser._subparsers._group_actions
+    options = {
+        name: {text for text in parser._option_string_actions if text.startswith("--")}
+        for name, parser in commands.choices.items()
+    }
+    assert options["blur"] - options["layers"] == set(ELSEWHERE)

@@ -132,6 +132,14 @@ def test_neighbors_go_with_the_other_options(shot):
         (("--after", "in.0003.exr", "--shutter", "0"), ("--after: --shutter 0",)),
         (("--before", "in.0001.exr", "--depth-from", "in.0002.exr"), ("--depth-from", "sequence")),
         (("--before", "out.exr"), ("is an input too",)),
+        (("--before", "in.0002.exr"), ("--before: ", "in.0002.exr is the input too")),
+        (
+            ("--before", "in.0001.exr", "--after", "./in.0001.exr"),
+            (
+                "--after: ",
+                "in.0001.exr is given as --before too; give the frame after, or leave it out",
+            ),
+        ),
         (("--neighbors", "off"), ("--neighbors: is for sequences",)),
         (("--subframes", "in.####.exr", "--after", "in.0003.exr"), ("sub-frames are neighbors",)),
         (("--subframes", "none.####.exr"), ("none.####.exr: no such files",)),

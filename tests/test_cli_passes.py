@@ -104,7 +104,13 @@ def test_passes_in_parts(tmp_path):
     ("option", "words"),
     [
         ("difuse", "did you mean diffuse?"),
-        ("x*", "no other layer of color 'x*'"),
+        ("x*", "no other layer of color 'x*'; the layers of color are diffuse, emission, specular"),
+        (
+            "foo",
+            "no other layer of color 'foo'; the layers of color are diffuse, emission, specular",
+        ),
+        ("crypto*", "CryptoObject00 holds identifiers"),
+        ("n*", "'n*' is a pattern, and patterns leave out data; give names"),
         ("CryptoObject00", "holds identifiers"),
     ],
 )

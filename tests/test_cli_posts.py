@@ -210,9 +210,9 @@ def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path, 
     assert [path.name for path in sorted(tmp_path.glob("out*"))] == ["out.0001.exr", "out.0003.exr"]
     assert [row[0] for row in scored(outcome.out)[0]] == ["1", "3", "mean", "mean"]
     error = refused("post", *given, "--frames", "7-9")
-    assert "in.0007.exr: no such file, nor any other frame asked for" in error
+    assert "in.0007.exr: no such file, nor any other frame asked for; there are frames" in error
     error = refused("post", *given, "--overwrite", "--truth", tmp_path / "truth.####.exr")
-    assert "truth.0001.exr: no such file, nor any other frame asked for" in error
+    assert "truth.0001.exr: no such file, nor any other frame asked for." in error
 
 
 def test_a_run_whose_frames_cannot_be_written_stops(tmp_path, monkeypatch):

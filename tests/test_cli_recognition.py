@@ -1,5 +1,8 @@
 """``jaxblur blur`` on sequences whose vectors no name identifies: measured on their frames."""
 
+import re
+import sys
+
 import numpy as np
 import pytest
 
@@ -75,9 +78,46 @@ def test_vectors_over_the_shutter_need_no_option(tmp_path):
     command = write_shot(tmp_path, names, lambda x, y: (x / 2, -y / 2))
     outcome = run(*command)
     assert outcome.status == 0 and "arnold by name, and by measurement" in said(outcome)
+    assert outcome.err.count("vectors: --file-shutter 0.5 (measured)") == 1
+    found = settings(tmp_path)
+    assert "file_shutter = 0.5" in found and "max_displace" not in found
+    assert 'velocity_channels = "motionvector.X, motionvector.Y"' in found
+    assert 'depth_channel = "Z"' in found
     written = exr.read_image(tmp_path / "out/a.11.exr")
     run(*command, "--preset", "arnold", "--file-shutter", "0.5", "--overwrite")
     np.testing.assert_array_equal(exr.read_image(tmp_path / "out/a.11.exr"), written)
+
+
+@pytest.mark.parametrize("span", [0.25, 0.5, 0.4])
+def test_the_span_of_the_file_is_measured_for_any_shutter(tmp_path, span):
+    names = ("motionvector.X", "motionvector.Y")
+    command = (*write_shot(tmp_path, names, lambda x, y: (x * span, -y * span)), "--dry-run")
+    measured = re.compile(r"--file-shutter (\S+) \(measured\)")
+    for shutter in ("0.75", "1"):
+        outcome = run(*command, "--shutter", shutter)
+        assert outcome.status == 0, outcome.err
+        assert float(measured.findall(outcome.err)[0]) == pytest.approx(span, rel=0.05)
+
+
+def test_a_wrong_span_is_named_and_used(tmp_path):
+    names = ("motionvector.X", "motionvector.Y")
+    command = write_shot(tmp_path, names, lambda x, y: (x / 2, -y / 2))
+    outcome = run(*command, "--file-shutter", "0.25")
+    assert outcome.status == 0
+    assert "--file-shutter 0.25 is used as given, but they fit --file-shutter 0.5" in said(outcome)
+    assert "file_shutter = 0.25" in settings(tmp_path)
+    assert "3 kept" in run(*command, "--file-shutter", "0.25").out
+    assert "other parameters" in refused(*command, "--file-shutter", "0.5")
+
+
+def test_another_length_of_a_full_vector_is_noticed(tmp_path):
+    names = ("velocity.R", "velocity.G")
+    command = write_shot(tmp_path, names, lambda x, y: (0.5 + x / 64, 0.5 - y / 64))
+    command = (*command, "--preset", "vray", "--depth", "z")
+    assert run(*command, "--max-displace", "32").status == 0
+    assert "max_displace = 32" in settings(tmp_path)
+    assert "3 kept" in run(*command, "--max-displace", "32").out
+    assert "other parameters" in refused(*command, "--max-displace", "64")
 
 
 @pytest.mark.parametrize(
@@ -100,9 +140,10 @@ def test_chunks_of_a_sequence_agree(tmp_path):
 def test_frames_that_do_not_decide_leave_what_names_say_and_a_hint(tmp_path):
     names = ("MotionVectors.R", "MotionVectors.G")
     command = write_shot(tmp_path, names, fractions, moving=False)
-    outcome = run(*command)
+    outcome = run(*command, "--max-displace", "32", "--file-shutter", "0.25")
     assert outcome.status == 0
     assert "does not show between frames 11 and 12; check it with: jaxblur vectors" in outcome.err
+    assert "--max-displace 32 --shutter 0.25" in outcome.err
     assert 'preset = "redshift"' in settings(tmp_path)
 
 
@@ -114,7 +155,62 @@ def test_depth_is_read_as_the_names_say(tmp_path):
     assert 'depth = "1/z"' in settings(tmp_path)
 
 
-def test_verified_names_and_given_presets_are_not_measured(tmp_path):
+def test_verified_names_are_not_measured(tmp_path):
     command = write_shot(tmp_path, ("velocity.X", "velocity.Y"), lambda x, y: (x, y))
     assert "brings frame" not in run(*command).err
-    assert "brings frame" not in run(*command, "--preset", "uv", "--overwrite").err
+
+
+BLENDER = ("Vector.X", "Vector.Y", "Vector.Z", "Vector.W")
+
+
+@pytest.mark.parametrize(
+    ("names", "encode", "given", "words"),
+    [
+        (("mv.R", "mv.G"), lambda x, y: (x, y), ("uv",), "--preset uv is used as given, but they "),
+        (("mv.R", "mv.G"), lambda x, y: (x, y), ("pixel",), None),
+        (("mv.R", "mv.G"), fractions, ("pixel",), "but they fit --preset unity: it brings"),
+        (("mv.R", "mv.G"), fractions, ("unity",), None),
+        (BLENDER, lambda x, y: (-x, y, -x, y), ("blender",), None),
+        (
+            BLENDER,
+            lambda x, y: (x, -y, x, -y),
+            ("blender",),
+            "but they fit --preset fusion --velocity-channels Vector.X,Vector.Y: it brings",
+        ),
+        (
+            ("motionvector.X", "motionvector.Y"),
+            lambda x, y: (x / 2, -y / 2),
+            ("arnold", "--file-shutter", "0.5"),
+            None,
+        ),
+        (
+            ("motionvector.X", "motionvector.Y"),
+            lambda x, y: (x / 2, -y / 2),
+            ("arnold", "--file-shutter", "0.2"),
+            "--file-shutter 0.2 is used as given, but they fit --file-shutter 0.5: at that",
+        ),
+    ],
+)
+def test_a_given_convention_is_used_and_a_better_one_named(tmp_path, names, encode, given, words):
+    command = write_shot(tmp_path, names, encode)
+    outcome = run(*command, "--preset", *given)
+    assert outcome.status == 0
+    assert f'preset = "{given[0]}"' in settings(tmp_path)
+    if words is None:
+        assert "brings" not in outcome.err
+    else:
+        assert words in said(outcome) and "warning: vectors: " in said(outcome)
+
+
+def test_a_given_convention_is_compared_where_motion_leaves_signs_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "MOTION", (5.0, 0.0))
+    command = write_shot(tmp_path, ("mv.R", "mv.G"), lambda x, y: (x, y))
+    line = said(run(*command, "--preset", "uv"))
+    assert "but they fit another convention, see `jaxblur vectors " in line
+
+
+def test_a_given_convention_that_frames_neither_confirm_nor_contradict(tmp_path):
+    still = write_shot(tmp_path, ("mv.R", "mv.G"), lambda x, y: (x, y), moving=False)
+    outcome = run(*still, "--preset", "uv")
+    assert outcome.status == 0 and "brings" not in outcome.err
+    assert "check it with" not in outcome.err

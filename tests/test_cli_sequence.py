@@ -112,8 +112,10 @@ def test_a_line_for_each_frame_and_remarks_once(shot):
 
 def test_only_the_frames_asked_for(shot):
     path, command = shot
-    assert run(*command, "--frames", "1001-1005x2").status == 0
+    outcome = run(*command, "--frames", "1001-1005x2")
+    assert outcome.status == 0 and "jaxblur: 3 frames: 3 blur" in outcome.err
     assert written(path) == all_names((1001, 1003, 1005))
+    assert "jaxblur: 1 frame: 1 blur" in run(*command, "--frames", "1002").err
 
 
 def test_a_gap_is_reported_and_the_rest_done(shot):
@@ -394,7 +396,8 @@ def test_a_sequence_of_pictures_continues_where_it_stopped(shot, suffix):
         ({"input": "no.####.exr"}, ("no.####.exr: no such frames",)),
         ({"input": "inn.####.exr"}, ("no such frames; near that name there is", "in.####.exr'")),
         ({"input": "in.%05d.exr"}, ("asks for 5 digits, and there is in.1001.exr and", "in.####")),
-        ({"--frames": "7-9"}, ("in.0007.exr: no such file, nor any other",)),
+        ({"--frames": "7-9"}, ("nor any other frame asked for; there are frames 1001-1005",)),
+        ({"input": "in.%04d.exr", "--frames": "7"}, ("in.0007.exr", "are frames 1001-1005")),
         ({"--frames": "a-b"}, ("--frames: expected frames such as",)),
         ({"--cut": "7"}, ("--cut: frame 7 is not among the frames",)),
         ({"--workers": "3"}, ("--workers: is for --scheduler local",)),

@@ -64,7 +64,7 @@ def frame_with_vectors(tmp_path, scale):
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (0.0, "all vectors are zero: was the pass rendered?"),
+        (0.0, "all vectors are zero; check that the pass was rendered."),
         (0.01, "such values can be fractions of the frame: try --preset uv, ndc or unity"),
         (1.3, "the longest half-spread is 0.46 px: check --preset and --shutter"),
     ],
@@ -83,7 +83,7 @@ def test_vectors_that_move_nothing_are_told(tmp_path, scale, words):
 @pytest.mark.parametrize(
     ("scale", "more", "words"),
     [
-        (0.0, (), "all vectors are zero: was the pass rendered?"),
+        (0.0, (), "all vectors are zero; check that the pass was rendered."),
         (4.0, ("--shutter", "0"), "the exposure is 0; check --shutter"),
         (4.0, (), None),
     ],

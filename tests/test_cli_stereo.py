@@ -56,6 +56,23 @@ def test_all_views_are_blurred_into_one_file_of_the_same_layout(tmp_path, write)
         assert "out.exr: was blurred by guertin2014 before" in again.err
 
 
+@pytest.mark.parametrize("write", [stereo, stereo_parts])
+def test_a_view_that_is_not_blurred_is_told(tmp_path, write):
+    path, out = tmp_path / "in.0001.exr", tmp_path / "out.exr"
+    more = {"named": "{layer}.{view}"} if write is stereo_parts else {"own": ("depth", "vectors")}
+    write(path, **more)
+    words = "stay sharp: view left; --views all blurs all"
+    for option in ("--views", "--layer"):
+        outcome = run("blur", path, "-o", out, option, "right", "--overwrite", *FEW)
+        assert outcome.status == 0 and outcome.err.count(words) == 1, outcome.err
+    names = (tmp_path / "in.####.exr", "-o", tmp_path / "seq.####.exr")
+    assert run("blur", *names, "--views", "right", *FEW).err.count(words) == 1
+    for more in (("--views", "all"), ("--views", "right", "--drop-extra")):
+        assert "stay sharp" not in run("blur", path, "-o", out, "--overwrite", *more, *FEW).err
+    out = tmp_path / "out.png"
+    assert "stay sharp" not in run("blur", path, "-o", out, "--views", "right", *FEW).err
+
+
 def test_samples_and_noise_of_a_view(tmp_path):
     path, out = tmp_path / "in.exr", tmp_path / "out.exr"
     stereo(path, own=("depth", "vectors"))

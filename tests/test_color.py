@@ -128,10 +128,13 @@ def test_a_view_is_that_of_openimageio(tmp_path):
 def test_info_says_how_colors_are_shown(tmp_path):
     source = write_patch(tmp_path / "in.exr", chromaticities=ACESCG)
     words = "ACEScg (chromaticities) to sRGB, by ocio://default"
-    assert f"shown as: {words}\n" in run("info", source).out
+    assert f"colors of previews: {words}\n" in run("info", source).out
     assert json.loads(run("info", source, "--json").out)["shown_as"] == words
     plain = write_patch(tmp_path / "plain.exr")
-    assert "shown as: linear sRGB (the file names no color space) to sRGB" in run("info", plain).out
+    assert (
+        "colors of previews: linear sRGB (the file names no color space) to sRGB"
+        in run("info", plain).out
+    )
 
 
 def test_unknown_names_are_refused_with_those_there_are(tmp_path):
@@ -247,5 +250,5 @@ def test_a_benchmark_compares_what_a_screen_shows(tmp_path):
 )
 def test_a_space_has_one_name(tmp_path, attributes, name):
     source, out = write_patch(tmp_path / "in.exr", **attributes), tmp_path / "out.png"
-    assert f"shown as: {name} to sRGB" in run("info", source).out
+    assert f"colors of previews: {name} to sRGB" in run("info", source).out
     assert f"colors: {name} to {VIEW}" in run("blur", source, "-o", out, "--view", VIEW, *FEW).err

@@ -160,8 +160,15 @@ def test_data_windows_of_color_vectors_and_depth_must_agree(tmp_path):
     moved = write_single(tmp_path / "moved.exr", {"Z": plain["Z"]}, origin=(1, 0))
     with pytest.raises(exr.JaxblurIOError, match=r"6x4 at \(1, 0\), but .* has 6x4 at \(-1, 0\)"):
         exr.read_frame(color, depth_from=moved)
-    same = write_single(tmp_path / "same.exr", {"Z": plain["Z"]}, origin=(-1, 0))
-    np.testing.assert_array_equal(exr.read_frame(color, depth_from=same).depth, plain["Z"])
+    depth = {"Z": plain.pop("Z")}
+    window = (0, 0, 6, 4)
+    parts = [(make_spec(plain, name="rgb", display=window), plain)]
+    parts.append((make_spec(depth, name="depth", origin=(1, 0), display=window), depth))
+    path = write_parts(tmp_path / "parts.exr", parts)
+    with pytest.raises(exr.JaxblurIOError, match=r"depth.Z: .* \(1, 0\), but the color has 6x4"):
+        exr.read_frame(path)
+    same = write_single(tmp_path / "same.exr", depth, origin=(-1, 0))
+    np.testing.assert_array_equal(exr.read_frame(color, depth_from=same).depth, depth["Z"])
 
 
 def test_eight_bit_vectors_in_a_png(tmp_path):

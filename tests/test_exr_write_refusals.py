@@ -156,7 +156,7 @@ def test_nan_in_channels_that_are_copied_is_reported_and_set_to_zero_on_request(
     image = np.full((4, 6, 3), 0.5, np.float32)
     policies: tuple[tuple[Literal["keep", "zero"], str, float], ...] = (
         ("keep", "copied as they are", np.nan),
-        ("zero", "set to 0 (depth to infinity)", 0),
+        ("zero", "written as 0 (depth as infinity)", 0),
     )
     for policy, words, value in policies:
         out = tmp_path / f"{policy}.exr"

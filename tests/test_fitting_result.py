@@ -56,6 +56,16 @@ def test_round_trip(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["fitted.toml"]
 
 
+def test_a_result_prints_as_one_short_line():
+    assert repr(RESULT) == (
+        "<FitResult mcguire2012: soft_z_extent=0.25; fitted soft_z_extent; "
+        "loss 0.5 to 1e-17 in 2 steps>"
+    )
+    more = {"interrupted": True, "warnings": ("a", "b"), "history": {}}
+    line = str(dataclasses.replace(RESULT, **more))
+    assert line.endswith("fitted soft_z_extent; interrupted; see 2 in .warnings>")
+
+
 def test_an_interrupted_result_has_neither_scores_nor_sensitivity(tmp_path):
     partial = dataclasses.replace(RESULT, scores=(), sensitivity=None, interrupted=True)
     partial.save(tmp_path / "fitted.toml")
@@ -107,6 +117,12 @@ def test_a_choice_without_a_fit(tmp_path):
         ("loss = [0.5, 1e-17]", "loss = 0.5", "'history.loss' must be list, got 0.5"),
         ("soft_z_extent = 0.25", "soft_z_extent = true", "'parameters.soft_z_extent' must be"),
         ("steps = 2", "steps = ", "is not TOML"),
+        (
+            "soft_z_extent = 0.25",
+            "soft_z_extend = 0.25",
+            r"unknown key 'parameters.soft_z_extend' \(did you mean soft_z_extent\?\); mcguire2012",
+        ),
+        ("soft_z_extent = 0.25", "soft_z_extent = 0", "'parameters.soft_z_extent' must be above 0"),
     ],
 )
 def test_a_changed_file_is_refused_by_name_and_key(tmp_path, old, new, match):

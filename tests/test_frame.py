@@ -20,6 +20,14 @@ def test_replace_changes_buffers_and_nothing_else():
         frame.replace(depht=frame.depth)
 
 
+def test_a_guide_without_channels_is_refused_with_the_remedy():
+    frame = random_frame((4, 5)).replace(guide=jnp.ones((4, 5)))
+    match = r"must have shape \(4, 5, 1\) .*, got \(4, 5\); pass guide\[..., None\]"
+    with pytest.raises(ValueError, match=match):
+        jaxblur.pixel_velocity(frame)
+    jaxblur.pixel_velocity(frame.replace(guide=jnp.ones((4, 5))[..., None]))
+
+
 def test_a_guide_has_any_number_of_channels():
     frame = random_frame((4, 5))
     guided = frame.replace(guide=jnp.ones((4, 5, 7)))

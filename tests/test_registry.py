@@ -169,12 +169,28 @@ def test_unknown_filters_are_named_with_a_hint():
     match = r"one of guertin2014, .* got 'layerd' \(did you mean layered\?\)"
     with pytest.raises(ValueError, match=match):
         filter_info("layerd")
-    with pytest.raises(KeyError):
+    with pytest.raises(
+        KeyError, match=r"no filter 'layerd' \(did you mean layered\?\); there are g"
+    ):
         FILTERS["layerd"]
+    with pytest.raises(KeyError, match=r"'guertin' \(did you mean guertin2014\?\)"):
+        FILTERS["guertin"]
+    assert FILTERS.get("guertin") is None
     with pytest.raises(ValueError, match="`kapa` must be a parameter of guertin2014; it has kappa"):
         filter_info("guertin2014").make_parameters(kapa=1.0)
     with pytest.raises(ValueError, match="`split` must be a setting of layered; it has samples"):
         filter_info("layered").make_settings(split="even")
+
+
+def test_bounds_hold_the_values_that_a_filter_takes():
+    bounds = filter_info("layered").bounds
+    assert bounds["bend"] == (0.0, 1.0) and bounds["distinct"] == (0.0, np.inf)
+    for info in map(filter_info, names()):
+        assert info.bounds.keys() == info.defaults.keys()
+        for name, (low, high) in info.bounds.items():
+            assert low <= info.defaults[name] <= high
+            assert not info.parameter_infos[name].allows(low - 1e-3)
+            assert not info.parameter_infos[name].allows(high + 1e-3)
 
 
 def test_parameters_that_jax_does_not_know_are_rejected():

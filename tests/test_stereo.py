@@ -73,7 +73,7 @@ def test_an_unknown_view_is_refused(tmp_path):
 def test_info_lists_the_views(tmp_path):
     stereo(tmp_path / "in.exr", own=("vectors",))
     assert (
-        "views: left, right; `jaxblur blur` and `post` take all"
+        "views: left, right; `jaxblur blur` and `post` process all of them"
         in run("info", tmp_path / "in.exr").out
     )
     out = run("info", tmp_path / "in.exr", "--layer", "right").out
@@ -133,7 +133,7 @@ def test_views_may_be_parts(tmp_path, named):
     default = exr.read_buffers(tmp_path / "in.exr", shutter=2)
     np.testing.assert_array_equal(default.color, color_of(views[0]))
     assert (
-        "views: left, right; `jaxblur blur` and `post` take all"
+        "views: left, right; `jaxblur blur` and `post` process all of them"
         in run("info", tmp_path / "in.exr").out
     )
 

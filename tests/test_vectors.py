@@ -304,6 +304,22 @@ def test_ranking_finds_the_convention_of_a_pan(raw, expected, preset):
     assert ranking.moving_share == 1
 
 
+def test_encoded_vectors_that_are_not_clamped_are_found():
+    """A square that is faster than what 0..1 holds, on a plate at rest at 0.5."""
+    now, following = pan((12, -6))
+    inside = np.zeros((40, 60), bool)
+    inside[14:32, 8:30] = True
+    moved = np.roll(inside, (-6, 12), (0, 1))
+    following = np.where(moved[..., None], following, now)
+    raw = np.where(inside[..., None], np.float32(0.5) + np.array((12, 6)) / 16, np.float32(0.5))
+    assert raw.max() > 1
+    ranking = vectors.rank_conventions(now, following, raw, max_displace=8)
+    best = ranking.candidates[0]
+    assert ranking.is_explained and best.presets == ("vray",)
+    assert (best.sign_x, best.sign_y, best.unit, best.offset) == (1, -1, "displace", 0.5)
+    assert ranking.moving_share == inside.mean()
+
+
 @pytest.mark.parametrize(
     ("shift", "undecided"), [((6, 0), ("the sign of y",)), ((0, -5), ("the sign of x",))]
 )
@@ -340,6 +356,18 @@ def test_candidates_that_leave_most_of_the_difference_explain_nothing():
     now, following = rng.random((2, 40, 60, 3))
     vector = np.full((40, 60, 2), (6, 3), np.float32)
     assert not vectors.rank_conventions(now, following, vector).is_explained
+
+
+def test_the_difference_that_vectors_leave():
+    y, x = np.mgrid[:40, :60].astype(np.float32)
+    now, following = (np.sin((x - s) / 3 + y / 5)[..., None] + 1 for s in (0, 2))
+    motion = np.zeros((40, 60, 2), np.float32)
+    assert vectors.difference_left(now, following, motion) is None
+    motion[5:30, 10:50, 0] = 2
+    assert vectors.difference_left(now, following, motion) == pytest.approx(0, abs=1e-3)
+    against = vectors.difference_left(now, following, -motion)
+    assert against is not None and against > 1.5
+    assert vectors.difference_left(now, now, motion) is None
 
 
 def test_ranking_finds_blender_vectors_in_a_rendered_pair():

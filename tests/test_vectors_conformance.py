@@ -198,3 +198,23 @@ def test_what_the_command_refuses(tmp_path):
     assert "give frames of one sequence" in refused(
         *("vectors", CUBE, "--next", small, "--conform", "auto")
     )
+
+
+def test_depth_of_another_kind_is_named_by_an_option_that_there_is(tmp_path):
+    for time in (0, 1):
+        color, motion, depth = at_time(time)
+        raw = 0.5 + motion * (1, -1) / 64
+        channels = {name: color[..., i] for i, name in enumerate("RGB")}
+        channels |= {"Z": depth, "velocity.R": raw[..., 0], "velocity.G": raw[..., 1]}
+        single = {name: np.asarray(values, np.float32) for name, values in channels.items()}
+        write_single(tmp_path / f"{time}.exr", single)
+    pair = ("vectors", tmp_path / "0.exr", "--next", tmp_path / "1.exr", "--max-displace", "32")
+    error = refused(*pair, "--conform", "vray")
+    assert "pass --depth=z if it is a distance" in error
+    outcome = run(*pair, "--conform", "vray", "--depth=z")
+    assert outcome.status == 0 and "z depth" in outcome.out and not outcome.err
+    error = refused(*pair, "--conform", "vray", "--depth-channel", "Z", "--depth", "-1/z")
+    assert "a value that begins with - is given as --depth=-1/z" in error
+    assert "--depth: is for --conform" in refused(*pair, "--depth", "z")
+    half = run(*pair[:-1], "16")
+    assert half.status == 0 and "a full one is --max-displace 32" in half.out

@@ -248,6 +248,8 @@ def test_the_disparity_is_that_of_the_cameras_of_both_files(tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
+        (("in.%v.exr", "-o", "out.%V.exr"), "in.%v.exr: %v is not replaced; write %V"),
+        (("%v/in.####.exr", "-o", "out.%V.exr"), "%v is not replaced; write %V"),
         (("in.%V.exr", "-o", "out.exr"), "write %V in the name of the output too"),
         (("in.left.exr", "-o", "out.%V.exr"), "--output: out.%V.exr has %V"),
         (

@@ -76,7 +76,7 @@ def plain(frame, boost, samples):
             there = np.floor([t * y + 0.5, t * x + 0.5]) + np.array([row, column])
             there = np.clip(there, 0, np.subtract(color.shape[:2], 1))
             value = color[tuple(there.astype(int))]
-            weight = 1 + boost * (value @ [0.2126, 0.7152, 0.0722])
+            weight = 1 + boost * value[:3].mean()
             total, weights = total + weight * value, weights + weight
         result[row, column] = total / weights
     return result
@@ -102,6 +102,13 @@ def test_values_and_derivatives(info, backend):
     moved = [total(frame.color + sign * step * along, 2.0) for sign in (1, -1)]
     slope = (moved[0] - moved[1]) / (2 * step)
     np.testing.assert_allclose(jnp.sum(of_color * along), slope, rtol=1e-2)
+
+
+@pytest.mark.parametrize("channels", [1, 4])
+def test_any_number_of_channels(info, channels):
+    frame, settings = random_frame((9, 21), channels=channels), info.make_settings(samples=7)
+    blurred = info.call(frame, info.make_parameters(boost=2.0), settings=settings)
+    np.testing.assert_allclose(blurred, plain(frame, 2.0, 7), atol=2e-6)
 
 
 @pytest.mark.parametrize("backend", ["native", "xla"])

@@ -9,6 +9,7 @@ import pathlib
 import re
 import sys
 import textwrap
+import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
@@ -26,11 +27,13 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         more_help: function that gives text to show below the options.
+        elsewhere: options of another command that this one has not, each with the remedy.
         instead_of_more: function of the names given and of those left over, for a command that
             takes one: says how to give several.
     """
 
     more_help: Any = None
+    elsewhere: Mapping[str, str] = types.MappingProxyType({})
     instead_of_more: Callable[[Sequence[str], Sequence[str]], str] | None = None
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -83,6 +86,8 @@ class Parser(argparse.ArgumentParser):
                 self.error(
                     f"{before} {text}: a value that begins with - is given as {before}={text}"
                 )
+            if name in self.elsewhere:
+                self.error(f"{name}: {self.elsewhere[name]}")
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             self.error(f"unknown option {name}{hint}")
@@ -141,6 +146,8 @@ _OPTIONS = {"budget_ms": "budget", "tolerance_db": "tolerance", "tolerance_jod":
 def in_option_names(message: str, options: Mapping[str, Any]) -> str:
     """Replace the library's argument names by the options of the command line.
 
+    Of two alternatives of which the command has one, that one is left.
+
     Args:
         message: an error message of the library.
         options: what the command can be given, by argument name.
@@ -162,6 +169,11 @@ def in_option_names(message: str, options: Mapping[str, Any]) -> str:
             return match[0]
         return f"{flag(name)}={value}" if value else flag(name)
 
+    def choose(match: re.Match[str]) -> str:
+        known = [name for name in match.groups() if name in options]
+        return f"`{known[0]}`" if len(known) == 1 else match[0]
+
+    message = re.sub(r"`(\w+)` or `(\w+)`", choose, message)
     return re.sub(r"`(?P<quoted>[\w.]+)`|\b(?P<name>\w+)='(?P<value>[^']*)'", rename, message)
 
 

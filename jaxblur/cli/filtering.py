@@ -10,7 +10,6 @@ from jaxblur.filters.registry import FilterInfo, filter_info, load_filter, names
 from jaxblur.settings import GuertinSettings, Settings, choices_of
 
 from .arguments import CommandError, did_you_mean, one_of, positive_integer, positive_number
-from .console import print_line
 
 DEFAULT_FILTER = "layered"
 FITTED_FILTER = "guertin2014"
@@ -138,7 +137,7 @@ def samples_of(usual: int, quality: str) -> int:
 
 
 def add_nonfinite_option(group: Any) -> None:
-    """Add the option for NaN and infinity; `report_ignored` prints their count.
+    """Add the option for NaN and infinity; reading a frame warns of their number.
 
     Args:
         group: of a parser.
@@ -148,19 +147,8 @@ def add_nonfinite_option(group: Any) -> None:
         choices=("error", "ignore"),
         default="error",
         help="NaN and infinity: reject the frame, or ignore them (such colors are left out, such "
-        "vectors become zero, such depths sky) and print their number (default %(default)s)",
+        "vectors become zero, such depths sky) and warn of their number (default %(default)s)",
     )
-
-
-def report_ignored(path: Any, ignored: Any) -> None:
-    """Print how many pixels of a frame were left out, if there were any.
-
-    Args:
-        path: the frame.
-        ignored: a `jaxblur.nonfinite.Ignored`.
-    """
-    if ignored:
-        print_line(f"{path}: not finite: {ignored}")
 
 
 def add_parameters_option(group: Any) -> None:
@@ -217,9 +205,7 @@ def complete(
         )
     usual, values = info.settings, dict(arguments.param)
     if fitted:
-        source = str(arguments.parameters)
-        usual = fitted.filter_settings
-        values = checked_parameters(info, fitted.parameters, source) | values
+        usual, values = fitted.filter_settings, fitted.parameters | values
     known = {field.name for field in dataclasses.fields(info.kind)}
     every = ("samples", "radius", "spacing", "temperature", *CHOICES)
     given = {name: value for name in every if (value := getattr(arguments, name))}
@@ -278,15 +264,12 @@ def filter_name(text: str) -> str:
     return f"{pathlib.Path(path).resolve()}:{name}"
 
 
-def checked_parameters(
-    info: FilterInfo, given: Mapping[str, float], source: str = "--param"
-) -> dict[str, float]:
+def checked_parameters(info: FilterInfo, given: Mapping[str, float]) -> dict[str, float]:
     """Complete the parameters of a filter by their defaults.
 
     Args:
         info: the filter.
         given: values by parameter name.
-        source: where they come from, for the message.
 
     Returns:
         All parameters of the filter.
@@ -294,11 +277,11 @@ def checked_parameters(
     Raises:
         CommandError: the filter has no such parameter, or a value is out of range.
     """
-    check_names(info, given, source)
+    check_names(info, given, "--param")
     for name, value in given.items():
         if not info.parameter_infos[name].allows(value):
             allowed = info.parameter_infos[name].range
-            raise CommandError(f"{source}: {name} must be {allowed}, got {value:g}.")
+            raise CommandError(f"--param: {name} must be {allowed}, got {value:g}.")
     return info.defaults | dict(given)
 
 

@@ -180,7 +180,7 @@ def _with_alpha(path: pathlib.Path, place: stack.LayerPlace, buffers: Any, last:
     from jaxblur import exr
 
     color, names = buffers.color, buffers.color_channels
-    what = f"layer {place.layer}: " if place.layer else ""
+    what = _about(place)
     position = next((k for k, name in enumerate(names) if _is_alpha(name)), None)
     if position is None:
         if not last:
@@ -204,6 +204,11 @@ def _with_alpha(path: pathlib.Path, place: stack.LayerPlace, buffers: Any, last:
     return buffers
 
 
+def _about(layer: stack.LayerPlace | stack.ReadLayer) -> str:
+    """The beginning of a message about a layer of a file, which the message names already."""
+    return f"layer {layer.layer}: " if layer.layer else ""
+
+
 def _is_alpha(channel: str) -> bool:
     return channel.rpartition(".")[2].upper() in ("A", "ALPHA")
 
@@ -218,14 +223,14 @@ def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
         if (other := stack.window_of(layer)) != window:
             raise exr.JaxblurIOError(
                 layer.path,
-                f"{layer.name} has the data window {_words(other)}, but {first.name} "
+                f"{_about(layer)}the data window is {_words(other)}, but that of {first.name} is "
                 f"{_words(window)}; give both the same, as oiiotool IN --croptofull -o OUT does.",
             )
         count, expected = layer.buffers.color.shape[-1], first.buffers.color.shape[-1]
         if count != expected:
             raise exr.JaxblurIOError(
                 layer.path,
-                f"{layer.name} has {count} color channels with alpha, but {first.name} has "
+                f"{_about(layer)}{count} color channels with alpha, but {first.name} has "
                 f"{expected}; render both in color, or both in gray.",
             )
     names = {layer.name: set(map(stack.pass_name, layer.buffers.pass_channels)) for layer in layers}
@@ -233,7 +238,7 @@ def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
         if lacking := sorted(set().union(*names.values()) - names[layer.name]):
             raise exr.JaxblurIOError(
                 layer.path,
-                f"{layer.name} has no pass {lacking[0].partition('.')[0]}, which other layers have "
+                f"{_about(layer)}no pass {lacking[0].partition('.')[0]}, which other layers have "
                 "and which would not add up without it; render it, or name with --also what all "
                 "have.",
             )

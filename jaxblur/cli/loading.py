@@ -252,7 +252,7 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     if source.motion:
         why = f"the longest half-spread is {fastest:.2g} px with motion {source.motion}"
     elif fastest == 0:
-        why = "all vectors are zero: was the pass rendered?"
+        why = "all vectors are zero; check that the pass was rendered"
     else:
         why = f"the longest half-spread is {fastest:.2g} px: check --preset and --shutter"
         # Over a full frame, fractions of the picture are below 1, in pixels or not.

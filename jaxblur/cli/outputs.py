@@ -77,6 +77,10 @@ def check_output(arguments: argparse.Namespace) -> None:
     output = arguments.output
     if output.is_dir():
         raise CommandError(f"{output}: is a folder; give a file name.")
+    if not output.suffix:
+        takes_folders = "inputs" in arguments
+        why = "no such folder; create it, or give" if takes_folders else "has no extension; give"
+        raise CommandError(f"{output}: {why} a file, such as {output}.exr.")
     if output.suffix.lower() not in exr.WRITABLE:
         raise CommandError(
             f"{output}: can write {', '.join(exr.WRITABLE)} only; change the extension."
@@ -274,6 +278,7 @@ def provenance(
         "shutter": arguments.shutter,
         "preset": buffers.guess.preset.name,
         "depth": buffers.depth_kind,
+        **_decoding(arguments, loaded),
         "sky": arguments.sky,
         **(more or {}),
     }
@@ -309,6 +314,26 @@ def provenance(
         **({MOTION: loaded.motion} if loaded.motion else {}),
         **posts.notes(arguments),
     }
+
+
+def _decoding(arguments: argparse.Namespace, loaded: Loaded) -> dict[str, Any]:
+    """The other choices by which vectors and depth were read, as far as they matter."""
+    read = [layer.buffers for layer in loaded.layers] or [loaded.buffers]
+    presets = [buffers.guess.preset for buffers in read]
+    values = {
+        "velocity_channels": ", ".join(
+            dict.fromkeys(name for buffers in read for name in buffers.guess.channels)
+        ),
+        "depth_channel": ", ".join(
+            dict.fromkeys(buffers.depth_channel for buffers in read if buffers.depth_channel)
+        ),
+        "file_shutter": any(preset.span == "shutter" for preset in presets)
+        and arguments.file_shutter,
+        "max_displace": any(preset.scale == "max-displace" for preset in presets)
+        and arguments.max_displace,
+        "nonfinite": arguments.nonfinite,
+    }
+    return {name: value for name, value in values.items() if value}
 
 
 def warn_of_double_blur(arguments: argparse.Namespace) -> None:

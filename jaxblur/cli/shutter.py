@@ -290,12 +290,13 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
         if (words := re.split(r"[,;\s]+", line.partition("#")[0].strip(" \t,;"))) != [""]
     ]
     rows: list[list[float]] = []
+    heading = ""
     for position, (number, words) in enumerate(lines):
         try:
             row = [float(word) for word in words]
         except ValueError:
             if position == 0 and all(re.fullmatch(r"[A-Za-z_]\w*", word) for word in words):
-                # Names of the columns.
+                heading = f"line {number} ({' '.join(words)}) is taken as the names of the columns"
                 continue
             raise CommandError(
                 f"{path}: line {number} holds something else than numbers."
@@ -310,7 +311,8 @@ def _rows(path: pathlib.Path) -> list[list[float]]:
         rows.append(row)
     if not 2 <= len(rows) <= MOST_POINTS:
         raise CommandError(
-            f"{path}: a curve has 2 to {MOST_POINTS} points, one in each line; got {len(rows)}."
+            f"{path}: a curve has 2 to {MOST_POINTS} points, one in each line; got {len(rows)}"
+            f"{heading and f', since {heading}'}."
         )
     return rows
 

@@ -14,7 +14,7 @@ from .arguments import CommandError, check_outputs
 from .choice import Choice, choose
 from .compute import start_jax
 from .console import print_line, print_table
-from .filtering import report_ignored, require_neighbors, takes_neighbors
+from .filtering import require_neighbors, takes_neighbors
 from .loading import Loaded, load, mismatch, read, tell_rest
 from .progress import remarks_once
 from .scores import SCORE_COLUMNS, scores_of, view_rows
@@ -125,7 +125,6 @@ def _make(
     outputs.write(eyes[0], files, notes, made)
     for output in files:
         print_line(f"{output}")
-    report_ignored(arguments.input, whole.buffers.ignored)
     return chosen, made, seconds
 
 
@@ -282,10 +281,28 @@ def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:
             f"{option_of(arguments)}: sub-frames are equal parts of an exposure centered on the "
             "frame; leave out one of the two."
         )
+    _refuse_twice(arguments, sides)
     if sides and arguments.plan is None:
         require_neighbors(asked.name, f"--{sides[0]}")
     if arguments.subframes is not None and not _subframe_files(arguments):
         raise CommandError(f"--subframes: {arguments.subframes}: no such files.")
+
+
+def _refuse_twice(arguments: argparse.Namespace, sides: Sequence[str]) -> None:
+    """Reject neighbors that are the frame itself, or one frame on both sides.
+
+    One of several layers may be the same in all frames.
+    """
+    frames = {"the input": [getattr(arguments, role) for role in stack.roles(arguments)]}
+    for side in sides:
+        files = list(stack.files_of(arguments, side).values())
+        for other, theirs in frames.items():
+            if [path.resolve() for path in files] == [path.resolve() for path in theirs]:
+                raise CommandError(
+                    f"--{side}: {', '.join(map(str, files))} is {other} too; give the frame "
+                    f"{side}, or leave it out."
+                )
+        frames[f"given as --{side}"] = files
 
 
 def _number_in(path: pathlib.Path) -> int:

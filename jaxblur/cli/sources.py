@@ -99,14 +99,25 @@ def add_depth_options(parser: argparse.ArgumentParser) -> Any:
     return group
 
 
-def _add_kinds(group: Any) -> None:
-    """Add the options for the kind of depth and for the sky."""
+def add_depth_kind(group: Any, use: str = "") -> None:
+    """Add ``--depth``.
+
+    Args:
+        group: of a parser.
+        use: what it is for, where that is not all of the command.
+    """
     group.add_argument(
         "--depth",
         default="auto",
         metavar="KIND",
-        help="auto, z, 1/z, normalized-near1, flat (no occlusion), --depth=-z or --depth=-1/z",
+        help=f"{use}auto, z, 1/z, normalized-near1, flat (no occlusion), --depth=-z or "
+        "--depth=-1/z",
     )
+
+
+def _add_kinds(group: Any) -> None:
+    """Add the options for the kind of depth and for the sky."""
+    add_depth_kind(group)
     group.add_argument(
         "--sky",
         choices=("file", "camera"),

@@ -11,6 +11,8 @@ from .stack import LayerName
 
 PLACE = "%V"
 """Stands for the name of a view, in a file name or in the name of a folder, as in Nuke."""
+INITIAL = "%v"
+"""Nuke's place for the first letter of a view, which is not replaced here."""
 VIEWS = ["left", "right"]
 """The views that there are where ``--views`` names none."""
 ALL = ["all"]
@@ -60,8 +62,9 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
 
     Raises:
         CommandError: a file of each view is needed and is not named so, or an option is for a view
-            that there is not.
+            that there is not, or a name has `INITIAL`.
     """
+    _refuse_initials([path for value in vars(arguments).values() for path in _paths(value)])
     given = {key: value for key, value in vars(arguments).items() if has_place(value)}
     if not are_named(arguments):
         for key, value in given.items():
@@ -96,8 +99,9 @@ def files_of(paths: Sequence[pathlib.Path], names: Sequence[str] | None) -> list
         names: of the views, or None for `VIEWS`.
 
     Raises:
-        CommandError: views are named, and no path has a place for them.
+        CommandError: views are named, and no path has a place for them, or one has `INITIAL`.
     """
+    _refuse_initials(paths)
     if names and not any(map(has_place, paths)):
         raise CommandError(
             f"--views: no file has {PLACE} for the name of a view; write it, such as "
@@ -232,6 +236,20 @@ def _check_sources(arguments: argparse.Namespace, names: Sequence[str]) -> None:
                     f"each view {why}; write {PLACE} in its name, or choose one view with --views "
                     f"{names[0]}."
                 )
+
+
+def _refuse_initials(paths: Sequence[pathlib.Path]) -> None:
+    """Reject `INITIAL` in the name of a file that does not exist.
+
+    Raises:
+        CommandError: it is there.
+    """
+    for path in paths:
+        if INITIAL in str(path) and not path.exists():
+            raise CommandError(
+                f"{path}: {INITIAL} is not replaced; write {PLACE}, which stands for "
+                f"{' and '.join(VIEWS)}, or for the names after --views, such as --views l,r."
+            )
 
 
 def has_place(value: Any) -> bool:

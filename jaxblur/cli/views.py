@@ -134,6 +134,7 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
         return [argparse.Namespace(**vars(arguments) | noise)]
     view_files.check_options_of(arguments, info.path, names)
     _check_truth(arguments, names)
+    _tell_sharp(arguments, info, names or [arguments.layer])
     if not names:
         truth = view_files.own_truth(arguments, arguments.layer)
         return [argparse.Namespace(**vars(arguments) | truth)]
@@ -144,6 +145,18 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
         own = noise | view_files.own_truth(arguments, name) | {"layer": name}
         views.append(argparse.Namespace(**vars(arguments) | own))
     return views
+
+
+def _tell_sharp(arguments: argparse.Namespace, info: Any, chosen: Sequence[str | None]) -> None:
+    """Say which views are copied to the output without blur, beside those that are blurred."""
+    from jaxblur import exr
+
+    if getattr(arguments, "drop_extra", True) or arguments.output.suffix.lower() != ".exr":
+        return
+    colored = exr.colored_views(info)
+    sharp = [name for name in colored if name not in chosen]
+    if sharp and any(name in colored for name in chosen):
+        LOG.info("stay sharp: view %s; --views all blurs all", ", ".join(sharp))
 
 
 def names_of(arguments: argparse.Namespace) -> list[str]:

@@ -56,6 +56,7 @@ def refuse_or_zero(
     names: Sequence[str],
     values: Float[np.ndarray, "height width channels"],
     nonfinite: str,
+    taken: str = "left out",
 ) -> tuple[Float[np.ndarray, "height width channels"], Bool[np.ndarray, "height width"]]:
     """Raise an error for NaN and infinity, channel by channel, or set those pixels to 0.
 
@@ -64,6 +65,7 @@ def refuse_or_zero(
         names: names of the channels.
         values: (H, W, C) as read.
         nonfinite: "error", "ignore" (with a warning) or "keep".
+        taken: what becomes of such pixels, for the warning.
 
     Returns:
         (H, W, C) the values, and (H, W) True where they were set to 0.
@@ -77,7 +79,7 @@ def refuse_or_zero(
     if nonfinite == "error":
         for index, name in enumerate(names):
             refuse(not_finite(values[..., index]), path, name, "NaN or infinite", _IGNORE)
-    _warn_ignored(path, ", ".join(names), int(somewhere.sum()), "NaN or infinity")
+    _warn_ignored(path, names, somewhere, "NaN or infinite", taken)
     return np.where(somewhere[..., None], np.float32(0), values), somewhere
 
 
@@ -102,7 +104,7 @@ def without_depth(
     if nonfinite == "error":
         refuse(bad, path, name, "NaN or negative infinity", _IGNORE)
     if bad.any() and nonfinite == "ignore":
-        _warn_ignored(path, name, int(bad.sum()), "NaN or negative infinity")
+        _warn_ignored(path, [name], bad, "NaN or negative infinity", "taken as sky")
     return bad & (nonfinite == "ignore")
 
 
@@ -171,13 +173,29 @@ def warn_cropped(
         )
 
 
-def warn_lossy(info: FileInfo, channel: Channel) -> None:
-    """Warn if the compression of a channel of vectors or depth changes its values.
+def warn_lossy(channels: Sequence[tuple[FileInfo, str]]) -> None:
+    """Warn once for each file whose compression changes the values of vectors or depth.
 
     Args:
-        info: listing of the file.
-        channel: the channel.
+        channels: listing of the file and full name of each channel.
     """
+    found: dict[tuple[str, str], list[str]] = {}
+    for info, name in channels:
+        channel = info.channel(name)
+        if compression := _lossy_compression(info, channel):
+            found.setdefault((info.path, compression), []).append(channel.name)
+    for (path, compression), names in found.items():
+        are, their = ("are", "their") if len(names) > 1 else ("is", "its")
+        warnings.warn(
+            f"{path}: {', '.join(names)} {are} stored with lossy compression ({compression}), "
+            f"{their} values are inexact; write vectors and depth with zip.",
+            JaxblurIOWarning,
+            stacklevel=5,
+        )
+
+
+def _lossy_compression(info: FileInfo, channel: Channel) -> str:
+    """The compression of a channel, if it changes the values; else nothing."""
     compression = info.parts[channel.part].compression.partition(":")[0]
     # DWA treats channels with the names of colors as color and stores all others exactly.
     like_color = channel.name.rpartition(".")[2].upper() in ("R", "G", "B", "Y", "RY", "BY")
@@ -188,18 +206,19 @@ def warn_lossy(info: FileInfo, channel: Channel) -> None:
         "dwaa": like_color,
         "dwab": like_color,
     }
-    if lossy.get(compression, False):
-        warnings.warn(
-            f"{info.path}: {channel.name} is stored with lossy compression ({compression}), its "
-            "values are inexact; write vectors and depth with zip.",
-            JaxblurIOWarning,
-            stacklevel=5,
-        )
+    return compression if lossy.get(compression, False) else ""
 
 
-def _warn_ignored(path: PathLike, names: str, count: int, what: str) -> None:
+def _warn_ignored(
+    path: PathLike,
+    names: Sequence[str],
+    bad: Bool[np.ndarray, "height width"],
+    what: str,
+    taken: str,
+) -> None:
     warnings.warn(
-        f"{path}: {count} pixels with {what} in {names} are ignored.",
+        f"{path}: {', '.join(names)}: {int(bad.sum())} of {bad.size} pixels are {what}, and are "
+        f"{taken}.",
         JaxblurIOWarning,
         stacklevel=5,
     )

@@ -3,6 +3,7 @@
 import dataclasses
 import difflib
 import functools
+import shlex
 from collections.abc import Mapping, Sequence
 
 from jaxblur import vectors
@@ -265,7 +266,7 @@ def _elsewhere(info: FileInfo, layer: str | None, preset: str) -> str:
         return ""
     return (
         f"layer {layer!r} has no vectors of its own, and the file has {', '.join(found)}; to blur "
-        f"this layer by those, give its color as `color_channels`, {', '.join(color)}, in place of "
+        f"this layer by those, give `color_channels` {shlex.quote(','.join(color))} in place of "
         "`layer`; or else: "
     )
 

@@ -96,7 +96,7 @@ _NEGATIVE_DEPTH = {
     "-z": "pass depth='z', distances are positive here.",
     "1/z": "pass depth='-1/z' if the camera looks along -z, or render depth again.",
     "-1/z": "pass depth='1/z', inverse distances are positive here.",
-    "normalized-near1": "pass depth='z' or '-z', values must lie in 0..1.",
+    "normalized-near1": "pass depth='z' or depth='-z', values must lie in 0..1.",
 }
 
 

@@ -100,18 +100,24 @@ def _matching(
     """The layers of one name or pattern."""
     wanted = text.strip().rstrip(".").lower()
     is_pattern = re.search(r"[*?\[]", wanted) is not None
-    found = [
+    named = [
         name
-        for name in (colors if is_pattern else groups)
+        for name in groups
         if any(fnmatch.fnmatchcase(each.lower(), wanted) for each in (name, _last(name)))
     ]
-    identifiers = [name for name in found if _is(_IDENTIFIERS, name)]
+    found = [name for name in named if name in colors or not is_pattern]
+    identifiers = [name for name in (found or named) if _is(_IDENTIFIERS, name)]
     if identifiers:
         raise JaxblurIOError(
             info.path, f"{identifiers[0]} holds identifiers, which a blur would destroy; leave out."
         )
+    if not found and named:
+        raise JaxblurIOError(
+            info.path,
+            f"{', '.join(named)}: {text!r} is a pattern, and patterns leave out data; give names.",
+        )
     if not found:
-        known = list(groups)
+        known = colors or [name for name in groups if not _is(_IDENTIFIERS, name)]
         hint = nearest(wanted, [*known, *map(_last, known)])
         listing = f"the layers of color are {', '.join(known)}" if known else "there is none"
         raise JaxblurIOError(info.path, f"no other layer of color {text!r}{hint}; {listing}.")

@@ -219,9 +219,11 @@ def read_buffers(
     if passes:
         extra, lacking = refuse_or_zero(info.path, passes, more[0], nonfinite)
         unknown = unknown | lacking
-    for name in guess.channels:
-        warn_lossy(vector_info, vector_info.channel(name))
-    raw, still = refuse_or_zero(vector_info.path, guess.channels, vectors_read, nonfinite)
+    data = [(vector_info, name) for name in guess.channels]
+    warn_lossy(data if channel is None else [*data, (depth_info, channel)])
+    raw, still = refuse_or_zero(
+        vector_info.path, guess.channels, vectors_read, nonfinite, "taken as at rest"
+    )
     alpha = color[..., group.channels.index(group.alpha)] if group.alpha else None
     scale = {"max_displace": max_displace, "file_shutter": file_shutter}
     velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
@@ -233,7 +235,6 @@ def read_buffers(
         kind = "flat"
         distance, lost = np.ones(color.shape[:2], np.float32), np.zeros(color.shape[:2], bool)
     else:
-        warn_lossy(depth_info, depth_info.channel(channel))
         kind = depth_kind_of(depth, guess, channel, path)
         stored = more[-1][..., 0]
         signed = -stored if kind.startswith("-") else stored
@@ -303,7 +304,7 @@ def read_depth(
     info = inspect(path)
     channel = choose_depth(info, layer, depth_channel, needed=True)
     raw = read_channels(info.path, [channel])[..., 0]
-    warn_lossy(info, info.channel(channel))
+    warn_lossy([(info, channel)])
     without_depth(info.path, channel, -raw if depth.startswith("-") else raw, "error")
     return to_distance(raw, depth, info.path, channel)
 
@@ -332,9 +333,10 @@ def _check_window(
 ) -> None:
     window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
     if window != wanted:
+        color = "the color" if data.path == picture.path else f"the color of {picture.path}"
         raise JaxblurIOError(
             data.path,
-            f"{', '.join(names)}: pixels {window}, but the color of {picture.path} has {wanted}; "
+            f"{', '.join(names)}: pixels {window}, but {color} has {wanted}; "
             "render them with the same data window.",
         )
 

@@ -87,8 +87,7 @@ def measure_speeds(
     with open_input(path) as source:
         info = describe(source, path)
         channels = [info.channel(name) for name in guess.channels]
-        for channel in channels:
-            warn_lossy(info, channel)
+        warn_lossy([(info, name) for name in guess.channels])
         if guess.preset.premultiplied:
             alpha = _alpha(info, layer)
             channels += [info.channel(alpha)] if alpha else []

@@ -346,7 +346,7 @@ def _not_finite(
                 # everything.
                 values[bad] = np.inf if is_depth(channel.name) else 0
     if found:
-        done = "set to 0 (depth to infinity)" if mend else "copied as they are"
+        done = "written as 0 (depth as infinity)" if mend else "copied as they are"
         warnings.warn(
             f"{printable(info.path)}: NaN or infinity in {printable(', '.join(found))}, {done}.",
             JaxblurIOWarning,

@@ -157,6 +157,19 @@ class FilterInfo:
         """The default of each parameter, by name; empty if there are none."""
         return {name: float(info.default) for name, info in self.parameter_infos.items()}
 
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest value of each parameter, by name; infinite where there is no end.
+
+        The record in `parameter_infos` says whether the lowest one itself is allowed.
+
+        Examples:
+            >>> from jaxblur import filter_info
+            >>> filter_info("mcguire2012").bounds
+            {'soft_z_extent': (0.0, inf)}
+        """
+        return {name: (info.low, info.high) for name, info in self.parameter_infos.items()}
+
     def make_parameters(self, **values: ArrayLike) -> Parameters | None:
         """The parameters as the filter takes them.
 
@@ -304,15 +317,18 @@ def filter_info(filter: str | Callable[..., jax.Array]) -> FilterInfo:
     info = _find(filter, _registered) or _find(filter, _with_plugins())
     if info is not None:
         return info
-    hint = ""
-    if isinstance(filter, str):
-        near = difflib.get_close_matches(filter, names(), n=1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
+    hint = _hint(filter) if isinstance(filter, str) else ""
     raise ValueError(
         f"`filter` must be one of {', '.join(names())}, or one of these functions, got "
         f"{filter!r}{hint}; filters of your own are made known by jaxblur.register, at the command "
         "line by --filter FILE.py:NAME."
     )
+
+
+def _hint(name: str) -> str:
+    """The name of a filter that is near another one, in words; empty if none is."""
+    near = difflib.get_close_matches(name, names(), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _find(
@@ -443,6 +459,8 @@ class _Filters(Mapping[str, Filter]):
 
     def __getitem__(self, name: str) -> Filter:
         known = _registered if name in _registered else _with_plugins()
+        if name not in known:
+            raise KeyError(f"no filter {name!r}{_hint(name)}; there are {', '.join(known)}")
         return known[name].call
 
     def __iter__(self) -> Iterator[str]:

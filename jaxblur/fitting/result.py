@@ -18,6 +18,7 @@ from typing import Any
 
 from .._util.atomic import replacing
 from .._util.small_files import read_text
+from .._util.text import nearest
 from ..filters.registry import Parameters, filter_info
 from ..settings import GuertinSettings, Settings
 
@@ -176,6 +177,18 @@ class FitResult(FilterChoice):
     plateau: int | None = None
     warnings: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """The parameters, the loss and the number of warnings, in a line."""
+        values = ", ".join(f"{name}={value:.4g}" for name, value in self.parameters.items())
+        words = [f"{self.filter}: {values}", f"fitted {', '.join(self.free)}"]
+        if losses := self.history.get("loss"):
+            words.append(f"loss {losses[0]:.4g} to {losses[-1]:.4g} in {self.steps} steps")
+        if self.interrupted:
+            words.append("interrupted")
+        if self.warnings:
+            words.append(f"see {len(self.warnings)} in .warnings")
+        return f"<FitResult {'; '.join(words)}>"
+
     def mean_score(self, figure: str, part: str, parameters: str, region: str = "whole") -> float:
         """Mean of one figure over the pairs.
 
@@ -302,10 +315,25 @@ def _record(kind: type[Kind], content: dict[str, Any], path: str | os.PathLike[s
     """The content of a file as a record."""
     try:
         result = _decode(kind, content, "")
+        _check_parameters(result)
         return dataclasses.replace(result, settings=_completed(result))
     except (ValueError, OverflowError) as error:
         # Plain quotes: these are keys of the file, not arguments of a caller.
         raise ValueError(f"{path}: {str(error).replace('`', chr(39))}") from error
+
+
+def _check_parameters(choice: FilterChoice) -> None:
+    """Reject parameters that the filter has not, or that are out of range."""
+    infos = filter_info(choice.filter).parameter_infos
+    for name, value in choice.parameters.items():
+        if name not in infos:
+            known = ", ".join(infos) or "none"
+            raise ValueError(
+                f"unknown key `parameters.{name}`{nearest(name, infos)}; {choice.filter} has "
+                f"{known}."
+            )
+        if not infos[name].allows(value):
+            raise ValueError(f"`parameters.{name}` must be {infos[name].range}, got {value:g}.")
 
 
 def to_toml(table: Mapping[str, Any]) -> str:

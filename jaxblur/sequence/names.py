@@ -218,11 +218,16 @@ def missing_frames(frames: Sequence[int]) -> str:
         The missing frames between the first and the last, such as ``1004,1007-1009``; empty if
         none is missing.
     """
-    from fileseq.frameset import FrameSet
-
     step = min((b - a for a, b in itertools.pairwise(frames)), default=1)
     missing = sorted(set(range(frames[0], frames[-1], step)) - set(frames))
-    return str(FrameSet.framesToFrameRange(missing)) if missing else ""
+    return frame_ranges(missing) if missing else ""
+
+
+def frame_ranges(frames: Sequence[int]) -> str:
+    """Return frames in the form that `parse_frames` takes, such as ``1001-1004,1006``."""
+    from fileseq.frameset import FrameSet
+
+    return str(FrameSet.framesToFrameRange(frames))
 
 
 def at_frame(names: Mapping[str, FrameNames | pathlib.Path], frame: int) -> dict[str, pathlib.Path]:

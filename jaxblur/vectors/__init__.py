@@ -19,7 +19,8 @@ previous, current and next positions, and the frame stores the ends of that path
 
 If the convention of a file is unknown, `rank_conventions` warps the next frame back under each
 candidate and ranks the candidates by how well the pictures agree. `check_convention` tests one, by
-the rules of the README.
+the rules of the README, `measure_span` finds the time that vectors cover, and `difference_left`
+tells how much of the difference of two frames they leave.
 """
 
 from .conformance import Finding as Finding, check_convention as check_convention
@@ -47,7 +48,13 @@ from .presets import (
     Preset as Preset,
     VectorPair as VectorPair,
 )
-from .rank import Candidate as Candidate, Ranking as Ranking, rank_conventions as rank_conventions
+from .rank import (
+    UNITS as UNITS,
+    Candidate as Candidate,
+    Ranking as Ranking,
+    rank_conventions as rank_conventions,
+)
+from .span import difference_left as difference_left, measure_span as measure_span
 from .statistics import (
     SpeedStatistics as SpeedStatistics,
     speed_statistics as speed_statistics,

@@ -7,13 +7,13 @@ three for vectors to both sides): a point moves by its vector to where the other
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from .convert import Displacements
 from .rank import SAMPLE_LIMIT, compressed, differences
+from .span import Error, best_scale
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -34,8 +34,6 @@ ENOUGH = 50
 """Fewest pixels from which a rule is decided."""
 
 
-Error = Callable[[np.ndarray], float]
-"""Error of vectors (N, 2)."""
 Found = tuple[str, Outcome, str]
 """Rule, outcome and words."""
 
@@ -137,9 +135,9 @@ def _side(
         return float(np.mean(np.where(np.isnan(found), still, found)))
 
     rest = float(np.mean(still))
-    scale = _best_scale(taken, error)
+    scale = best_scale(taken, error)
     left = error(taken * scale)
-    crossed = error(taken[:, ::-1] * _best_scale(taken[:, ::-1], error))
+    crossed = error(taken[:, ::-1] * best_scale(taken[:, ::-1], error))
     if left > LEFT * rest or crossed < left - CLEAR * (rest - left):
         # What agrees in no direction and at no length says nothing about either.
         add(_disagreement(left, crossed, rest))
@@ -153,17 +151,6 @@ def _side(
     if depth is not None:
         add(_in_front(motion * scale, depth, here, there))
     return findings
-
-
-def _best_scale(vectors: np.ndarray, error: Error) -> np.ndarray:
-    """The factors of x and y, of one length but of any sign, with which the frames agree best."""
-    signs = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
-    tried = [factor * sign for factor in 2.0 ** np.arange(-3, 3.01, 0.5) for sign in signs]
-    best = min(tried, key=lambda scale: error(vectors * scale))
-    for step in (0.25, 0.1, 0.04, 0.015):
-        tried = [best * (1 + step * k) for k in (0, -2, -1, 1, 2)]
-        best = min(tried, key=lambda scale: error(vectors * scale))
-    return best
 
 
 def _disagreement(left: float, crossed: float, rest: float) -> Found:
@@ -281,4 +268,5 @@ def _in_front(motion: np.ndarray, depth: np.ndarray, here: np.ndarray, there: np
     words = f"the nearer of two points is seen in {100 * share:.0f} % of {count} pixels"
     if share >= 0.6:
         return "V7 in front", "holds", words
-    return "V7 in front", "fails" if share <= 0.4 else "undecided", f"{words}: -z, or 1/z?"
+    cause = ": likely depth of another kind, such as -z or 1/z"
+    return "V7 in front", "fails" if share <= 0.4 else "undecided", f"{words}{cause}"

@@ -30,6 +30,8 @@ UNITS: dict[str, Scale] = {
 }
 # Largest number of pixels to compare; more take longer and do not change the ranking.
 SAMPLE_LIMIT = 40_000
+# Raw value of no motion where vectors are encoded in 0..1.
+CENTER = 0.5
 # Limit of the difference of one pixel, because occlusion and new highlights make a few huge.
 ERROR_CAP = 0.5
 # Candidates are equally good if their errors differ by less than this share of the error that the
@@ -147,7 +149,7 @@ def rank_conventions(
         raise ValueError(f"`max_displace` must be above 0, got {max_displace}.")
     size = size or (frame_color.shape[0], frame_color.shape[1])
     candidates: dict[tuple[Any, ...], Candidate] = {}
-    for options in _options(raw_vectors, names, shutter, max_displace is not None):
+    for options in _options(names, shutter, max_displace is not None):
         pair, sign_x, sign_y, unit, offset, span = options
         factor = np.array([sign_x, sign_y]) * _unit_pixels(unit, size, max_displace) / span
         if offset:
@@ -198,7 +200,7 @@ def _checked(
 
 def _moving(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Pick pixels whose vectors differ from rest: rows, columns, and their share."""
-    rest = 0.5 if _may_be_centered(raw) and _share_near(raw, 0.5) > _share_near(raw, 0.0) else 0.0
+    rest = CENTER if _share_near(raw, CENTER) > _share_near(raw, 0.0) else 0.0
     length = np.linalg.norm(np.where(np.isfinite(raw), raw, rest) - rest, axis=-1)
     moving = np.isfinite(raw).all(axis=-1) & (length > 0.05 * np.percentile(length, 99.9))
     rows, columns = np.nonzero(moving)
@@ -208,25 +210,20 @@ def _moving(raw: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return rows[::step], columns[::step], float(moving.mean())
 
 
-def _may_be_centered(raw: np.ndarray) -> bool:
-    finite = raw[np.isfinite(raw)]
-    return bool(finite.size and finite.min() >= 0 and finite.max() <= 1)
-
-
 def _share_near(raw: np.ndarray, value: float) -> float:
     return float(np.mean(np.abs(raw - value) < 0.02))
 
 
 def _options(
-    raw: np.ndarray, names: Sequence[str], shutter: float, displace: bool
+    names: Sequence[str], shutter: float, displace: bool
 ) -> Iterator[tuple[int, int, int, str, float, float]]:
     """Yield pair, sign of x, sign of y, unit, offset and span of every candidate."""
     spans = sorted({1.0, shutter}, reverse=True)
     signs = itertools.product((1, -1), (1, -1))
     units = [unit for unit in UNITS if displace or unit != "displace"]
+    # Encoded values may leave 0..1 where things are faster than what they were scaled for.
     decodings = [(unit, 0.0) for unit in units]
-    if _may_be_centered(raw):
-        decodings += [(unit, 0.5) for unit in units if unit != "px"]
+    decodings += [(unit, CENTER) for unit in units if unit != "px"]
     pairs = range(len(names) // 2)
     # Spans outermost: of equal mappings the one over a full frame comes first.
     for span, pair, (sign_x, sign_y), (unit, offset) in itertools.product(

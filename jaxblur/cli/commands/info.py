@@ -161,14 +161,14 @@ def _list(arguments: argparse.Namespace, before: _Before) -> int:
     print_line()
     if views := exr.views_of(info):
         print_line(
-            f"views: {', '.join(views)}; `jaxblur blur` and `post` take all, --layer chooses one, "
-            f"{views[0]} is the default of other commands"
+            f"views: {', '.join(views)}; `jaxblur blur` and `post` process all of them, other "
+            f"commands {views[0]}; --layer NAME chooses one"
         )
     for what, found in picture.items():
         channels = ", ".join(found["channels"]) or f"none ({found['reason']})"
         print_line(f"{what}: {channels}{_borrowed(info, arguments, found['channels'])}")
     if shown_as:
-        print_line(f"shown as: {shown_as}")
+        print_line(f"colors of previews: {shown_as}")
     _print_motion(motion)
     _explain_radius(motion, arguments.radius)
     print_names(mattes, every=bool(arguments.verbose))
@@ -225,12 +225,12 @@ def _borrowed(info: Any, arguments: argparse.Namespace, channels: Sequence[str])
 
 
 def _explain_radius(motion: dict[str, Any], radius: int) -> None:
-    """Say where the length comes from that vectors are compared with."""
+    """Say why vectors are compared with this length."""
     usual = filter_info(DEFAULT_FILTER).settings.radius
     if motion.get("speeds") and radius == usual:
         print_line(
-            f"beyond {radius} px: what {DEFAULT_FILTER}, the default filter, shortens to its "
-            "default --radius; --radius PX counts beyond another length"
+            f"{DEFAULT_FILTER}, the default filter, shortens half-spreads beyond its default "
+            f"--radius, {radius} px; --radius PX counts beyond another length"
         )
 
 
@@ -349,7 +349,10 @@ def _print_not_finite(bad: dict[str, int]) -> None:
     if bad:
         print_line()
         print_table(("channel", ">pixels with NaN or infinity"), list(bad.items()))
-        print_line("`jaxblur blur` rejects them in channels that it uses, unless given --nonfinite")
+        print_line(
+            "`jaxblur blur` rejects frames with NaN or infinity in channels that it reads; "
+            "--nonfinite ignore takes them"
+        )
 
 
 def _storage(part: Any) -> str:
@@ -373,7 +376,10 @@ def _print_motion(motion: dict[str, Any]) -> None:
     if speeds is None:
         print_line(f"speeds not measured: {motion['not_measured']}")
         return
-    print_line(f"half-spread in pixels at shutter {motion['shutter']:g}:")
+    shutter = motion["shutter"]
+    print_line(
+        f"half-spread (half of the path during the exposure), pixels, at --shutter {shutter:g}:"
+    )
     percentiles = speeds["percentiles"]
     headings = [">median" if p == 50 else ">max" if p == 100 else f">{p:g} %" for p in percentiles]
     print_table(headings, [[f"{speed:.2f}" for speed in percentiles.values()]])

@@ -58,13 +58,12 @@ def print_names(layers: list[dict[str, Any]], every: bool) -> None:
         if reason := layer.get("reason"):
             print_line(f"Cryptomatte: damaged ({reason})")
             continue
-        rows, source = list(layer["identifiers"].items()), "in the manifest"
+        rows = list(layer["identifiers"].items())
+        holds = f"manifest of {len(rows)} names"
         if not layer["manifest"]:
-            source = "in its pixels; there is no manifest, names are looked up by their hash"
+            holds = f"no manifest, {len(rows)} identifiers in the pixels; names match by their hash"
         print_line()
-        print_line(
-            f"Cryptomatte {layer['name']}: {layer['ranks']} ranks, {len(rows)} names {source}"
-        )
+        print_line(f"Cryptomatte {layer['name']}: {layer['ranks']} ranks, {holds}")
         shown = rows if every else rows[:LISTED]
         if shown:
             print_table(("name", "identifier"), shown)

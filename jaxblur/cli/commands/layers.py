@@ -35,8 +35,37 @@ shot.exr:street. Names of a sequence, hero.####.exr, give a layer for each frame
 frame number is the same in all frames. Every layer has color with alpha, depth and vectors; the
 last of several may be without alpha, and is opaque then, as a clean plate is. Deep files become
 several layers. The result is the color of all of them, over nothing, with the metadata of the
-front one.
+front one. Options are those of `jaxblur blur`, but for those of other filters, plans and fitted
+parameters, defocus and antialiasing, views, color and vectors of other names or files for one
+layer, Cryptomattes, --subframes and --result: `jaxblur layers --focus 4` says what to do instead.
 """
+_REMEDIES = {
+    "layers are blurred by layered alone, with its --param and --samples; leave it out": (
+        *("--filter", "--plan", "--tolerance", "--budget", "--parameters", "--temperature"),
+        *("--tile-choice", "--directions", "--direction-weights", "--diagonal-tiles"),
+        *("--dominant", "--split"),
+    ),
+    "layers are blurred by motion alone; afterwards run `jaxblur post OUT.exr -o FINAL.exr "
+    "--do defocus --focus DEPTH --depth-from FILE`": (
+        *("--focus", "--lens", "--lens-samples", "--f-number", "--focal-length", "--sensor"),
+        "--unit",
+    ),
+    "afterwards run `jaxblur post OUT.exr -o FINAL.exr --do NAME`": ("--then",),
+    "the layer of a file is named with it, as FILE:LAYER": ("--layer", "--color-channels"),
+    "vectors and depth of a layer are in its own file; copy them into it": (
+        *("--velocity-from", "--depth-from"),
+    ),
+    "the output is the color of all layers, without other channels; leave it out": (
+        *("--drop-extra", "--cryptomatte", "--no-cryptomatte"),
+    ),
+    "layers have no views but those of files with %V, left and right; run it for each view": (
+        *("--views", "--view-samples", "--disparity"),
+    ),
+    "`jaxblur layers` makes no results for `jaxblur report`; --truth prints scores": ("--result",),
+    "`jaxblur layers` takes one render of a frame; leave it out": ("--subframes",),
+}
+ELSEWHERE = {option: why for why, options in _REMEDIES.items() for option in options}
+"""Options of ``jaxblur blur`` that layers have not, and what to do instead."""
 
 
 def add_parser(commands: Any) -> None:
@@ -45,6 +74,7 @@ def add_parser(commands: Any) -> None:
         commands, "layers", "Blur layers together, front to back, into one frame.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.elsewhere = ELSEWHERE
     parser.more_help = lambda: f"{EXPLANATION}\n{describe_filters(FILTER)}\n\n{describe_presets()}"
     parser.add_argument(
         "layers",
@@ -149,6 +179,13 @@ def _check(arguments: argparse.Namespace) -> None:
             raise CommandError(
                 f"--{side}: needs one file for each layer, {len(arguments.stack)}, in their "
                 f"order; got {len(given)}."
+            )
+    names = [(name.path.resolve(), name.layer) for name in arguments.layers]
+    for number, name in enumerate(names, 1):
+        if number > (first := names.index(name) + 1):
+            raise CommandError(
+                f"{arguments.layers[number - 1].text}: layer {number} is layer {first} again; "
+                "leave it out, or name another layer of the file as FILE:LAYER."
             )
     if all(place.holdout for place in arguments.stack):
         raise CommandError("--holdout: nothing is left to be seen; leave it out for one layer.")

@@ -34,7 +34,6 @@ from ..filtering import (
     filter_name,
     find_filter,
     read_fitted,
-    report_ignored,
     samples_of,
 )
 from ..loading import read_truth
@@ -123,7 +122,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError(f"{arguments.input}: a page has one frame; give the file of one.")
     name, parameters, settings = complete(arguments, read_fitted(arguments))
     buffers = sources.read(arguments)
-    report_ignored(arguments.input, buffers.ignored)
     page = _page(arguments, Entry(find_filter(name), parameters, settings), buffers)
     size = len(page.encode("utf-8")) / 1e6
     if size > arguments.max_megabytes:

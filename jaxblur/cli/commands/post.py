@@ -209,9 +209,9 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
             names = views.names_of(here)
         found.append(_Job(here, number, files_of(here, outputs.path(number), names)))
     if all(job.missing() for job in found):
+        hint = "" if found[0].arguments.input.is_file() else hint_of(sources["input"])
         raise CommandError(
-            f"{found[0].missing()}: no such file, nor any other frame asked for"
-            f"{hint_of(sources['input'])}."
+            f"{found[0].missing()}: no such file, nor any other frame asked for{hint}."
         )
     return found
 

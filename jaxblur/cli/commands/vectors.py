@@ -18,7 +18,7 @@ from ..arguments import (
 )
 from ..console import print_line, print_table
 from ..shutter import add_exposure, add_fps
-from ..sources import add_max_displace
+from ..sources import add_depth_kind, add_max_displace
 from . import vectors_conform, vectors_draw
 
 
@@ -78,6 +78,10 @@ def add_parser(commands: Any) -> None:
         help="names of the vector channels, where they are not recognized",
     )
     parser.add_argument("--layer", metavar="NAME", help="view layer, view or part to look in")
+    add_depth_kind(parser, "with --conform or --draw: kind of the depth: ")
+    parser.add_argument(
+        "--depth-channel", metavar="NAME", help="with --conform or --draw: channel of the depth"
+    )
     add_exposure(
         parser, "--shutter", "exposure that the vectors might span, or to draw", default=0.5
     )
@@ -104,13 +108,17 @@ def run(arguments: argparse.Namespace) -> int:
         return vectors_conform.run(arguments)
     if arguments.previous is not None:
         raise CommandError("--previous: is for --conform PRESET.")
+    for name in ("depth", "depth_channel"):
+        if getattr(arguments, name) != arguments.option_defaults[name]:
+            option = f"--{name.replace('_', '-')}"
+            raise CommandError(f"{option}: is for --conform PRESET and --draw OUT.png.")
     ranking = _rank(arguments)
     explained = ranking.is_explained
     undecided = ranking.undecided
     if arguments.json:
         print(json.dumps(dataclasses.asdict(ranking) | {"undecided": undecided}, indent=2))
     else:
-        _print_ranking(ranking, arguments.top, explained)
+        _print_ranking(ranking, arguments.top, explained, arguments.max_displace)
         if explained and not undecided and ranking.candidates[0].presets:
             if both := _both_sides(arguments, ranking.candidates[0]):
                 print_line(both)
@@ -238,7 +246,7 @@ def _command(arguments: argparse.Namespace, best: Any) -> str:
     return shlex.join(map(str, words))
 
 
-def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
+def _print_ranking(ranking: Any, count: int, explained: bool, max_displace: float | None) -> None:
     best = ranking.candidates[0]
     print_line(f"{100 * ranking.moving_share:.1f} % of the pixels move")
     print_line("Each row is a way to read two channels as the motion to the next frame:")
@@ -272,6 +280,11 @@ def _print_ranking(ranking: Any, count: int, explained: bool) -> None:
             f"{best.sign_y:+d} y down, in {best.unit} over {best.span:g} frames; preset "
             f"{' or '.join(best.presets) or 'unknown'}"
         )
+        if max_displace and best.unit == "displace" and best.span != 1:
+            print_line(
+                "vectors of such a length usually cover a frame: "
+                f"then a full one is --max-displace {max_displace / best.span:g}"
+            )
     else:
         print_line(
             "inconclusive: no candidate brings the frames together; are they consecutive, and are "

@@ -29,6 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.conform,
         # Half of two frames: the displacements over one.
         2.0,
+        depth=arguments.depth,
+        depth_channel=arguments.depth_channel,
         file_shutter=arguments.shutter,
         max_displace=arguments.max_displace,
         layer=arguments.layer,

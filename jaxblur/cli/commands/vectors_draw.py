@@ -54,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.file,
         arguments.preset or "auto",
         arguments.shutter,
+        depth=arguments.depth,
+        depth_channel=arguments.depth_channel,
         file_shutter=arguments.shutter,
         max_displace=arguments.max_displace,
         layer=arguments.layer,

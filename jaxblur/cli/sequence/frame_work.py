@@ -177,8 +177,6 @@ class FrameWork:
             notes = outputs.provenance(eyes[0], chosen, whole, views.notes(eyes)) | job.marks
             notes[MEAN_SPEED] = f"{whole.mean_speed:.4f}"
             outputs.write(eyes[0], job.outputs, notes, made)
-            if whole.buffers.ignored:
-                LOG.warning("not finite: %s", whole.buffers.ignored)
             scored = [scores_of(loaded, image) for loaded, image in made]
         sides = {"before": job.frame - 1, "after": job.frame + 1}
         used = whole.neighbors if outputs.NEIGHBORS in notes else ()

@@ -129,7 +129,8 @@ def refuse(plan: Any, names: Any) -> None:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise CommandError(f"{refused[0].reason}{more}.")
     if len(missing) == len(plan.jobs):
-        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint_of(names)}.")
+        hint = "" if missing[0].inputs["input"].is_file() else hint_of(names)
+        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -281,7 +282,7 @@ def frames_on_disk(names: Any) -> list[int]:
 
 
 def hint_of(names: Any) -> str:
-    """What files there are instead of missing ones, and the pattern for them.
+    """What files there are instead of missing ones: their frames, or the pattern for them.
 
     Args:
         names: a `jaxblur.sequence.FrameNames`.
@@ -289,6 +290,10 @@ def hint_of(names: Any) -> str:
     Returns:
         The end of a sentence; empty where nothing near is there.
     """
+    from jaxblur.sequence import frame_ranges
+
+    if there := names.frames_on_disk():
+        return f"; there {'are frames' if len(there) > 1 else 'is frame'} {frame_ranges(there)}"
     other = names.other_padding()
     if other is None:
         near = " or ".join(map(repr, names.near_patterns()))

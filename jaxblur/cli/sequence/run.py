@@ -125,7 +125,8 @@ class _Run:
         """
         whose = f"view {self.view}: " if self.view else ""
         counts = report.counts_in(self.plan.jobs)
-        LOG.info("%s%d frames: %s", whose, len(self.plan.jobs), counts)
+        count = len(self.plan.jobs)
+        LOG.info("%s%d frame%s: %s", whose, count, "s" if count > 1 else "", counts)
         for job in self.plan.with_action("missing"):
             LOG.error("frame %d: %s", job.frame, job.reason)
         if self.todo:
