@@ -121,7 +121,7 @@ def plan_jobs(
 
     Returns:
         The plan. Outputs are kept if they were made with the same choices from inputs that have not
-        changed since, and made again if the inputs have changed or an output has lost its end. Any
+        changed since, and made again if the inputs have changed or an output is damaged. Any
         other existing file at an output is refused.
 
     Raises:
@@ -214,8 +214,8 @@ def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
         return dataclasses.replace(job, reason="the input has changed since")
     if len(present) < len(job.outputs):
         return dataclasses.replace(job, reason="a file is missing")
-    if not all(map(exr.has_its_end, present)):
-        return dataclasses.replace(job, reason="a file has lost its end")
+    if not all(map(exr.is_complete, present)):
+        return dataclasses.replace(job, reason="a file is damaged")
     speed = _number(next(iter(found.values())).get(MEAN_SPEED))
     return dataclasses.replace(job, action="keep", reason="done before", mean_speed=speed)
 
