@@ -10,6 +10,7 @@ from .names import (
     FrameNames as FrameNames,
     at_frame as at_frame,
     frame_number as frame_number,
+    frame_ranges as frame_ranges,
     has_frame_number as has_frame_number,
     missing_frames as missing_frames,
     parse_frames as parse_frames,

@@ -65,6 +65,10 @@ class Plan:
         """Return the jobs that have one of the actions."""
         return [job for job in self.jobs if job.action in actions]
 
+    def needs_overwrite(self) -> bool:
+        """Whether there are files now that a run without ``overwrite`` would refuse to replace."""
+        return any(_refusal(job, _headers_of(job)) for job in self.with_action("blur", "pass"))
+
 
 def digest(choices: Mapping[str, Any]) -> str:
     """Hash choices, so that files made with equal choices can be recognized.
@@ -164,7 +168,7 @@ def _plan_job(
         return job
     if overwrite:
         return dataclasses.replace(job, reason=f"replaces {present[0].name}")
-    return _compare(job, present)
+    return _compare(job)
 
 
 def _neighbors_of(
@@ -201,23 +205,33 @@ def _is_truth(role: str) -> bool:
     return role.partition(":")[0] == "truth"
 
 
-def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
+def _compare(job: Job) -> Job:
     """Compare existing outputs with those that this run would write."""
-    found = {file: _marks_in(file) for file in present}
-    for file, marks in found.items():
-        if marks.get(DIGEST) != job.marks[DIGEST]:
-            how = "with other parameters" if DIGEST in marks else "by something else"
-            return dataclasses.replace(
-                job, action="refuse", reason=f"{file} was made {how}; {REMEDY}"
-            )
+    found = _headers_of(job)
+    if refusal := _refusal(job, found):
+        return dataclasses.replace(job, action="refuse", reason=refusal)
     if any(marks.get(INPUT_STATE) != job.marks[INPUT_STATE] for marks in found.values()):
         return dataclasses.replace(job, reason="the input has changed since")
-    if len(present) < len(job.outputs):
+    if len(found) < len(job.outputs):
         return dataclasses.replace(job, reason="a file is missing")
-    if not all(map(exr.is_complete, present)):
+    if not all(map(exr.is_complete, found)):
         return dataclasses.replace(job, reason="a file is damaged")
     speed = _number(next(iter(found.values())).get(MEAN_SPEED))
     return dataclasses.replace(job, action="keep", reason="done before", mean_speed=speed)
+
+
+def _headers_of(job: Job) -> dict[pathlib.Path, dict[str, Any]]:
+    """The attributes of the outputs that exist."""
+    return {file: _marks_in(file) for file in job.outputs if os.path.lexists(file)}
+
+
+def _refusal(job: Job, found: Mapping[pathlib.Path, Mapping[str, Any]]) -> str:
+    """The reason not to replace one of the existing outputs; empty if there is none."""
+    for file, marks in found.items():
+        if marks.get(DIGEST) != job.marks[DIGEST]:
+            how = "with other parameters" if DIGEST in marks else "by something else"
+            return f"{file} was made {how}; {REMEDY}"
+    return ""
 
 
 def _number(attribute: Any) -> float | None:

@@ -70,16 +70,14 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
     sources = names_of(arguments, roles(arguments))
     outputs.check_output(arguments)
-    frames = arguments.frames or frames_on_disk(sources["input"])
+    frames = arguments.frames or _frames_of_all(arguments, sources)
     check_truth(arguments, frames)
     if arguments.result is not None and arguments.output.suffix.lower() != ".exr":
         raise CommandError(
             f"--result: the frames of a sequence are read back from {arguments.output}, and "
             "pictures do not hold what was scored; write .exr, with --png for a .png beside each."
         )
-    for frame in arguments.cut:
-        if frame not in frames:
-            raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    _check_cuts(arguments, frames, sources["input"])
     names = parse_names(_placed(arguments, arguments.output))
     targets = outputs.files_of(arguments, names, _views(arguments, sources, frames))
     settle_convention(arguments, sources)
@@ -93,6 +91,32 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         neighbors=neighbors,
     )
     return plan, sources["input"]
+
+
+def _frames_of_all(arguments: argparse.Namespace, sources: Mapping[str, Any]) -> list[int]:
+    """The frames of the input; those that only other layers have give a warning."""
+    from jaxblur.sequence import FrameNames, frame_ranges
+
+    own = sources["input"]
+    frames = frames_on_disk(own)
+    for layer in dict.fromkeys(sources[role] for role in stack.roles(arguments)):
+        if isinstance(layer, FrameNames) and (more := {*layer.frames_on_disk()} - {*frames}):
+            LOG.warning(
+                "%s: frames that it lacks are left out: %s, which %s has.",
+                *(own.pattern, frame_ranges(more), layer.pattern),
+            )
+    return frames
+
+
+def _check_cuts(arguments: argparse.Namespace, frames: Sequence[int], names: Any) -> None:
+    """Reject cuts at frames that are neither of this run nor on disk.
+
+    Cuts at other frames of the sequence matter too: no frame beside one sees it.
+    """
+    unknown = {*arguments.cut} - {*frames}
+    unknown = unknown - {*names.frames_on_disk()} if unknown else unknown
+    if unknown:
+        raise CommandError(f"--cut: {names.pattern} has no frame {min(unknown)}.")
 
 
 def check_truth(arguments: argparse.Namespace, frames: Sequence[int]) -> None:
