@@ -26,7 +26,7 @@ from ..console import print_line, print_table, track
 from ..errors import FAILED, is_foreseeable, message_of
 from ..loading import shown_truth
 from ..outputs import add_output_option, check_output, files_of
-from ..progress import remarks_once
+from ..progress import about_frame, messages_once
 from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
 from ..sequence import (
     WRITE_FAILURES,
@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
             exr.refuse_overwrite(output, file)
     check_outputs([output for job in jobs for output in job.files], arguments.overwrite)
     start_jax(not arguments.no_compile_cache)
-    with remarks_once():
+    with messages_once():
         done = _do(jobs)
     _print_scores(",".join(arguments.posts), done)
     if failed := len(jobs) - len(done):
@@ -109,9 +109,10 @@ def _do(jobs: Sequence["_Job"]) -> list[tuple["_Job", _Scored]]:
     for job in (jobs[k] for k in (track(numbers, "post") if len(jobs) > 1 else numbers)):
         stage = "read"
         try:
-            made = _made(job)
-            stage = "write"
-            _write(job, made)
+            with about_frame(job.frame):
+                made = _made(job)
+                stage = "write"
+                _write(job, made)
         except Exception as error:
             if job.frame is None or not is_foreseeable(error):
                 raise

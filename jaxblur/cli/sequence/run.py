@@ -14,7 +14,7 @@ from ..choice import Choice
 from ..compute import start_jax
 from ..errors import FAILED, is_foreseeable, message_of
 from ..loading import tell_rest
-from ..progress import about_frame, frame_messages, progress
+from ..progress import about_frame, messages_once, progress
 from . import report
 from .frame_work import FrameWork
 from .plan import at_job, make_plan, refuse, with_all_frames
@@ -55,7 +55,7 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
     for run in runs:
         if todo := run.plan.with_action("blur"):
             mattes.warn_of_sharp(run.arguments, todo[0].inputs["input"])
-    with frame_messages():
+    with messages_once():
         try:
             with _client(arguments, runs) as client:
                 for run in runs:
