@@ -107,7 +107,7 @@ def test_warnings_of_many_frames_that_are_alike_are_two_lines(monkeypatch, capsy
         "frame 1: in.0001.exr: 10 pixels are ignored.",
         *(f"frame 2: {text}" for text in ("layer 1 is far", "layer 2 is far", "damaged")),
         "frame 3: damaged",
-        "frame 1 and 3 more, 2-3,5 (-v prints each): in.0001.exr: 10 pixels are ignored.",
+        "frame 1 and 3 more (2-3,5; -v prints each): in.0001.exr: 10 pixels are ignored.",
     ]
     monkeypatch.setattr(LOG, "level", logging.DEBUG)
     LOG.manager._clear_cache()  # pyright: ignore[reportAttributeAccessIssue]

@@ -84,7 +84,7 @@ def messages_once() -> Iterator[None]:
         for text, frame, more in once.warnings.values():
             if more:
                 LOG.warning(
-                    "frame %d and %d more, %s (-v prints each): %s",
+                    "frame %d and %d more (%s; -v prints each): %s",
                     *(frame, len(more), frame_ranges(more), text),
                 )
 

@@ -133,36 +133,50 @@ def plan_jobs(
     """
     return Plan(
         tuple(
-            _plan_job(
-                *(frame, sources, outputs, {**choices, "pass": frame in cuts}, overwrite),
-                _neighbors_of(frame, sources, cuts) if neighbors else {},
+            plan_frame(
+                *(frame, at_frame(sources, frame), [names.path(frame) for names in outputs]),
+                {**choices, "pass": frame in cuts},
+                overwrite=overwrite,
+                neighbors=_neighbors_of(frame, sources, cuts) if neighbors else {},
             )
             for frame in frames
         )
     )
 
 
-def _plan_job(
+def plan_frame(
     frame: int,
-    sources: Mapping[str, FrameNames | pathlib.Path],
-    outputs: Sequence[FrameNames],
+    inputs: Mapping[str, pathlib.Path],
+    files: Sequence[pathlib.Path],
     choices: Mapping[str, Any],
+    *,
     overwrite: bool,
     neighbors: Mapping[int, Mapping[str, pathlib.Path]],
 ) -> Job:
-    inputs = at_frame(sources, frame)
-    files = tuple(names.path(frame) for names in outputs)
+    """Choose the action for one frame.
+
+    Args:
+        frame: its number.
+        inputs: input files by role.
+        files: to write.
+        choices: as of `plan_jobs`; with a true ``pass`` the frame is passed through.
+        overwrite: as of `plan_jobs`.
+        neighbors: input files by role of the frames before and after, by number.
+
+    Raises:
+        JaxblurIOError: an output is one of the inputs.
+    """
     for file in files:
         exr.refuse_overwrite(file, *inputs.values(), *_files_of(neighbors, frame).values())
     missing = [str(path) for path in inputs.values() if not path.is_file()]
     if missing:
-        return Job(frame, inputs, files, "missing", f"{missing[0]}: no such file", {})
+        return Job(frame, inputs, tuple(files), "missing", f"{missing[0]}: no such file", {})
     # Recorded before the file is read, so that the next run notices an input that changes
     # meanwhile.
     state = _state_of({**inputs, **_files_of(neighbors, frame)})
     marks = {DIGEST: digest(choices), INPUT_STATE: state}
-    action: Action = "pass" if choices["pass"] else "blur"
-    job = Job(frame, inputs, files, action, "new", marks, neighbors=neighbors)
+    action: Action = "pass" if choices.get("pass") else "blur"
+    job = Job(frame, inputs, tuple(files), action, "new", marks, neighbors=neighbors)
     present = [file for file in files if os.path.lexists(file)]
     if not present:
         return job

@@ -7,7 +7,7 @@ import hashlib
 import logging
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import jaxblur
@@ -148,12 +148,25 @@ def refuse(plan: Any, names: Any) -> None:
     Raises:
         CommandError: it is so.
     """
-    refused, missing = plan.with_action("refuse"), plan.with_action("missing")
+    missing = plan.with_action("missing")
+    refuse_existing(plan.jobs)
+    if len(missing) == len(plan.jobs):
+        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint_of(names)}.")
+
+
+def refuse_existing(jobs: Sequence[Any]) -> None:
+    """Stop before any work if an output must not be replaced.
+
+    Args:
+        jobs: of `jaxblur.sequence`.
+
+    Raises:
+        CommandError: it is so.
+    """
+    refused = [job for job in jobs if job.action == "refuse"]
     if refused:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise CommandError(f"{refused[0].reason}{more}.")
-    if len(missing) == len(plan.jobs):
-        raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint_of(names)}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -235,15 +248,9 @@ def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:
 def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     """Every choice that determines an output besides its inputs.
 
-    An option counts unless it is named in `NOT_A_CHOICE`. Options and settings count where they
-    differ from their defaults, so that a new one leaves outputs as they are.
+    Settings count where they differ from their defaults, as options do.
     """
-    places, usual = NOT_A_CHOICE | {*roles(arguments)}, arguments.option_defaults
-    given = {
-        key: value
-        for key, value in vars(arguments).items()
-        if key not in places and value != usual.get(key)
-    }
+    given = options_that_count(arguments, roles(arguments))
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:
@@ -254,7 +261,26 @@ def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     plain = dataclasses.asdict(type(asked.settings)())
     changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != plain[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
-    return given | chosen | {"version": jaxblur.__version__}
+    return given | chosen
+
+
+def options_that_count(arguments: argparse.Namespace, roles: Collection[str]) -> dict[str, Any]:
+    """The options that determine an output besides its inputs, and the version.
+
+    An option counts unless it is named in `NOT_A_CHOICE`, where it differs from its default, so
+    that a new one leaves outputs as they are.
+
+    Args:
+        arguments: of the command.
+        roles: of the files of a frame.
+    """
+    places, usual = NOT_A_CHOICE | {*roles}, arguments.option_defaults
+    given = {
+        key: value
+        for key, value in vars(arguments).items()
+        if key not in places and value != usual.get(key)
+    }
+    return given | {"version": jaxblur.__version__}
 
 
 def _sha256(path: str) -> str:
