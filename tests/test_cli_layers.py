@@ -204,6 +204,20 @@ def test_sequences_have_neighbors_and_are_resumed(tmp_path):
     np.testing.assert_allclose(exr.read_channels(out, list("RGBA")), expected, atol=1e-6)
 
 
+def test_frames_that_only_other_layers_have_are_told(tmp_path):
+    for frame in (1, 2, 3, 4, 6):
+        write_single(tmp_path / f"street.{frame:04d}.exr", back_at(frame))
+    for frame in (1, 2):
+        write_single(tmp_path / f"hero.{frame:04d}.exr", front_at(frame))
+    hero, street = tmp_path / "hero.####.exr", tmp_path / "street.####.exr"
+    given = ("layers", hero, street, street, "-o", tmp_path / "out.####.exr", "--dry-run")
+    outcome = run(*given)
+    assert outcome.status == 0 and "2 blur" in outcome.out
+    words = f"{hero}: frames that it lacks are left out: 3-4,6, which {street} has."
+    assert outcome.err.count(words) == 1, outcome.err
+    assert "left out" not in run(*given, "-F", "1-2").err
+
+
 @pytest.mark.slow
 def test_layers_given_back_to_front_are_told(files):
     """Depths are compared where both layers cover a pixel; a tenth out of order is no warning."""

@@ -353,3 +353,13 @@ def test_the_registry_says_which_filters_take_neighbors():
     for info in map(filter_info, names()):
         taken = inspect.signature(info.call).parameters
         assert info.takes_neighbors == ("before" in taken and "after" in taken), info.name
+
+
+def test_chunks_take_cuts_of_the_whole_sequence(shot):
+    """A cut in the next chunk matters too: the last frame of this one does not see it."""
+    path, command = shot
+    cut = (*command, "--cut", "3")
+    assert run(*cut, "-F", "1-2").status == 0
+    check(path, 2, 1)
+    assert run(*cut, "-F", "3").status == 0
+    assert "3 kept" in run(*cut).out

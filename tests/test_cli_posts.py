@@ -195,6 +195,26 @@ def test_a_sequence(tmp_path):
     assert notes(tmp_path / "b.0002.exr")["jaxblur:then"] == "mlaa"
 
 
+@pytest.mark.parametrize("kind", ["exr", "png"])
+def test_a_sequence_continues_where_it_stopped(tmp_path, kind):
+    for number in (1, 2, 3):
+        write_frame(tmp_path / f"in.{number:04d}.exr", seed=number)
+    names = ("post", tmp_path / "in.####.exr", "-o", tmp_path / f"out.####.{kind}")
+    first, _, last = outputs = [tmp_path / f"out.{number:04d}.{kind}" for number in (1, 2, 3)]
+    done(*names, "--do", "fxaa", "-F", "1-2")
+    times = [path.stat().st_mtime_ns for path in outputs[:2]]
+    outcome = done(*names, "--do", "fxaa")
+    assert "2 of 3 frames are kept, done before" in outcome.err
+    assert outcome.out.split() == [str(last)]
+    assert [path.stat().st_mtime_ns for path in outputs[:2]] == times
+    write_frame(tmp_path / "in.0001.exr", seed=7)
+    assert done(*names, "--do", "fxaa").out.split() == [str(first)]
+    error = refused(*names, "--do", "mlaa")
+    assert f"{first} was made with other parameters; --overwrite replaces" in error
+    assert "(and 2 more)" in error
+    assert len(done(*names, "--do", "mlaa", "--overwrite").out.split()) == 3
+
+
 @pytest.mark.parametrize("remaining", [-200, 100], ids=["pixels", "header"])
 def test_a_frame_that_cannot_be_read_is_reported_and_the_rest_is_done(tmp_path, remaining):
     for number in (1, 2, 3):

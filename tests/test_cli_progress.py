@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from jaxblur.cli.progress import LOG, about_frame, frame_messages, progress, stages
+from jaxblur.cli.progress import LOG, about_frame, messages_once, progress, stages
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +27,7 @@ def handler(monkeypatch):
 
 
 def blur_four_frames():
-    with frame_messages(), progress(4) as tell:
+    with messages_once(), progress(4) as tell:
         for frame in range(1, 5):
             with about_frame(frame):
                 LOG.info("color: R, G, B")
@@ -86,6 +86,32 @@ def test_frames_that_end_in_another_order_are_counted_by_how_many_are_done(capsy
         "1 of 2 done: frame 2 ok",
         "2 of 2 done: frame 1 ok",
     ]
+
+
+def test_warnings_of_many_frames_that_are_alike_are_two_lines(monkeypatch, capsys, handler):
+    def warn_of_four_frames():
+        with messages_once():
+            for frame in (1, 2, 3, 5):
+                with about_frame(frame):
+                    LOG.warning("in.%04d.exr: %d pixels are ignored.", frame, 10 * frame)
+                    if frame == 2:
+                        LOG.warning("layer 1 is far")
+                        LOG.warning("layer 2 is far")
+                        LOG.error("damaged")
+                    if frame == 3:
+                        LOG.error("damaged")
+        return capsys.readouterr().err.splitlines()
+
+    handler.setStream(sys.stderr)
+    assert warn_of_four_frames() == [
+        "frame 1: in.0001.exr: 10 pixels are ignored.",
+        *(f"frame 2: {text}" for text in ("layer 1 is far", "layer 2 is far", "damaged")),
+        "frame 3: damaged",
+        "frame 1 and 3 more (2-3,5; -v prints each): in.0001.exr: 10 pixels are ignored.",
+    ]
+    monkeypatch.setattr(LOG, "level", logging.DEBUG)
+    LOG.manager._clear_cache()  # pyright: ignore[reportAttributeAccessIssue]
+    assert sum("pixels" in line for line in warn_of_four_frames()) == 4
 
 
 def test_stages_are_lines_and_a_long_one_says_that_it_goes_on(monkeypatch, capsys, handler):

@@ -28,8 +28,9 @@ for kind in ("exr", "png", "tif"):
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
         try:
             exr.write_image(path, image)
-        except exr.JaxblurIOError:
+        except exr.JaxblurIOError as error:
             counts["refused"] += 1
+            assert f"/.{limit}." not in str(error), "no temporary file is named"
             assert not path.exists()
         else:
             counts["whole"] += 1

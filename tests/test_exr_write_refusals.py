@@ -3,8 +3,10 @@
 import contextlib
 import dataclasses
 import os
+import pathlib
 import re
 import shutil
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
@@ -26,28 +28,64 @@ def files(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.fixture
+def writers(monkeypatch):
+    """Replaces a method of the writers of OpenImageIO by a function of writer and file."""
+
+    def replace(step, function):
+        class Replaced:
+            def __init__(self, path):
+                self.path, self.output = path, create(path)
+
+            def __getattr__(self, name):
+                if name == step:
+                    return lambda *_: function(self.output, self.path)
+                return getattr(self.output, name)
+
+        create = oiio.ImageOutput.create
+        monkeypatch.setattr(output.oiio, "ImageOutput", SimpleNamespace(create=Replaced))
+
+    return replace
+
+
 @pytest.mark.parametrize("step", ["open", "write_image", "close"])
-def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, step):
+def test_a_failing_write_leaves_the_old_file_and_nothing_else(tmp_path, writers, step):
     path = tmp_path / "out.exr"
     exr.write_image(path, np.ones((2, 2, 3)))
     before = path.read_bytes()
-
-    class Failing:
-        def __init__(self, output):
-            self.output = output
-
-        def __getattr__(self, name):
-            if name == step:
-                return lambda *_: False
-            return getattr(self.output, name)
-
-    create = oiio.ImageOutput.create
-    outputs = type("Outputs", (), {"create": staticmethod(lambda p: Failing(create(p)))})
-    monkeypatch.setattr(output.oiio, "ImageOutput", outputs)
+    writers(step, lambda *_: False)
     with pytest.raises(exr.JaxblurIOError, match=r"out.exr: cannot be written"):
         exr.write_image(path, np.zeros((2, 2, 3)))
     assert path.read_bytes() == before
     assert files(tmp_path) == ["out.exr"]
+
+
+@pytest.mark.parametrize("kind", ["exr", "png", "tif"])
+def test_a_full_disk_is_told_in_one_way(tmp_path, monkeypatch, writers, kind):
+    free = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+    writers("write_image", lambda *_: False)
+    message = r"the disk is full: it needs up to \d{6} bytes, and 1\d{3} are free; free some space"
+    with pytest.raises(exr.JaxblurIOError, match=message):
+        exr.write_image(tmp_path / f"out.{kind}", np.ones((2, 2, 3)))
+    assert files(tmp_path) == []
+
+
+def test_a_png_that_lost_bytes_in_its_middle_is_rejected(tmp_path, writers):
+    """As when the disk is full for a moment: the writer goes on, and reports success."""
+
+    def lossy(output, path):
+        assert output.close()
+        file = pathlib.Path(path)
+        data = file.read_bytes()
+        file.write_bytes(data[:2000] + data[3000:])
+        return True
+
+    writers("close", lossy)
+    image = np.random.default_rng(0).random((40, 60, 3), np.float32)
+    with pytest.raises(exr.JaxblurIOError, match=r"bytes are missing; is the disk full, or a"):
+        exr.write_image(tmp_path / "out.png", image)
+    assert files(tmp_path) == []
 
 
 def test_a_failing_sync_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
@@ -59,7 +97,7 @@ def test_a_failing_sync_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(exr.JaxblurIOError, match="cannot be written: No space left on device"):
+    with pytest.raises(exr.JaxblurIOError, match="written, the disk is full; free some space"):
         exr.write_image(path, np.zeros((2, 2, 3)))
     assert path.read_bytes() == before
     assert files(tmp_path) == ["out.exr"]
@@ -118,7 +156,9 @@ def test_a_jpeg_that_the_disk_may_not_hold_is_not_begun(tmp_path, monkeypatch):
     free = shutil.disk_usage(tmp_path)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
     exr.write_image(tmp_path / "a.png", np.ones((4, 6, 3)))
-    with pytest.raises(exr.JaxblurIOError, match=r"needs up to 180072 bytes, .* has 1000; free"):
+    with pytest.raises(
+        exr.JaxblurIOError, match=r"needs up to 180072 bytes, and 1000 are free; free"
+    ):
         exr.write_image(tmp_path / "a.jpg", np.ones((4, 6, 3)))
     assert files(tmp_path) == ["a.png"]
     monkeypatch.undo()

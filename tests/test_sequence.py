@@ -177,15 +177,19 @@ def test_a_frame_whose_input_changed_is_blurred_again(folder):
     assert (first.action, first.reason) == ("blur", "the input has changed since")
 
 
-@pytest.mark.parametrize("kind", ["exr", "png"])
-def test_an_output_that_has_lost_its_end_is_made_again(folder, kind):
+@pytest.mark.parametrize(
+    ("kind", "from_end"), [("exr", (5, 0)), ("png", (5, 0)), ("png", (50, 40))]
+)
+def test_an_output_that_has_lost_bytes_is_made_again(folder, kind, from_end):
     path, sources, _ = folder
     folder = path, sources, [parse_names(path / f"out.####.{kind}")]
     make(planned(folder)[0])
     output = path / f"out.0001.{kind}"
-    os.truncate(output, output.stat().st_size - 5)
+    data = output.read_bytes()
+    first, last = (len(data) - place for place in from_end)
+    output.write_bytes(data[:first] + data[last:])
     first, _ = planned(folder)
-    assert (first.action, first.reason) == ("blur", "a file has lost its end")
+    assert (first.action, first.reason) == ("blur", "a file is damaged")
 
 
 def test_a_speed_that_is_no_number_is_left_out(folder):

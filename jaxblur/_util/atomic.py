@@ -1,10 +1,12 @@
 """Write a file completely or not at all."""
 
 import contextlib
+import errno
 import os
 import pathlib
 import re
 import secrets
+import shutil
 import stat
 from collections.abc import Callable, Iterator
 
@@ -51,11 +53,30 @@ def replacing(path: PathLike, last_check: Callable[[], None] | None = None) -> I
         os.replace(temporary, target)
         _sync(target.parent)
     except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise full_disk(path) from error
         raise JaxblurIOError(path, f"cannot be written: {error.strerror or error}.") from error
     finally:
         if descriptor is not None:
             os.close(descriptor)
         temporary.unlink(missing_ok=True)
+
+
+def full_disk(path: PathLike, needed: int | None = None, free: int = 0) -> JaxblurIOError:
+    """The error of a file that its disk does not hold.
+
+    Args:
+        path: the file.
+        needed: bytes that it may have, if that is known.
+        free: bytes that the disk has for it.
+    """
+    size = "" if needed is None else f": it needs up to {needed} bytes, and {free} are free"
+    return JaxblurIOError(path, f"cannot be written, the disk is full{size}; free some space.")
+
+
+def free_bytes(path: PathLike) -> int:
+    """The bytes that the disk of a file has left."""
+    return shutil.disk_usage(pathlib.Path(path).parent).free
 
 
 def _lock(descriptor: int) -> bool:

@@ -6,11 +6,12 @@ shows a bar for each stage, or a line as a stage begins and while it goes on.
 
 import contextlib
 import logging
+import re
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 LOG = logging.getLogger("jaxblur")
 
@@ -21,8 +22,8 @@ _HERE = threading.local()
 
 
 @contextlib.contextmanager
-def about_frame(frame: int) -> Iterator[None]:
-    """Mark the log records of this thread as being about a frame, for `FrameMessages`."""
+def about_frame(frame: int | None) -> Iterator[None]:
+    """Mark the log records of this thread as being about a frame, for `messages_once`."""
     _HERE.frame = frame
     try:
         yield
@@ -30,63 +31,62 @@ def about_frame(frame: int) -> Iterator[None]:
         del _HERE.frame
 
 
-class FrameMessages(logging.Filter):
-    """Passes a message that repeats for every frame once, and names the frame in warnings."""
+class _Warning(NamedTuple):
+    """A warning, the first frame that gave it, and those that gave it later."""
+
+    text: str
+    frame: int
+    more: set[int]
+
+
+class _Once(logging.Filter):
+    """Passes what repeats once, and names the frame in warnings."""
 
     def __init__(self) -> None:
         super().__init__()
         self._said: set[str] = set()
+        self.warnings: dict[str, _Warning] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether to pass a record; warnings get the frame's number."""
-        frame = getattr(_HERE, "frame", None)
+        frame, text = getattr(_HERE, "frame", None), record.getMessage()
+        if record.levelno == logging.INFO:
+            repeats = text in self._said
+            self._said.add(text)
+            return not repeats
         if frame is None or record.levelno == logging.DEBUG:
             return True
-        text = record.getMessage()
-        if record.levelno >= logging.WARNING:
-            record.msg, record.args = f"frame {frame}: {text}", ()
-            return True
-        if text in self._said:
-            return False
-        self._said.add(text)
+        if record.levelno == logging.WARNING and not LOG.isEnabledFor(logging.DEBUG):
+            # The file of a frame, counts and shares differ.
+            alike = re.sub(r"\d+", "#", text)
+            said = self.warnings.setdefault(alike, _Warning(text, frame, set()))
+            if said.frame != frame:
+                said.more.add(frame)
+                return False
+        record.msg, record.args = f"frame {frame}: {text}", ()
         return True
 
 
 @contextlib.contextmanager
-def frame_messages() -> Iterator[None]:
-    """Filter log records by `FrameMessages`."""
-    messages = FrameMessages()
-    LOG.addFilter(messages)
-    try:
-        yield
-    finally:
-        LOG.removeFilter(messages)
+def messages_once() -> Iterator[None]:
+    """Pass remarks, and warnings of several frames that are alike but for numbers, once.
 
+    At the end a line says for which other frames a warning is. With ``-v`` all warnings pass.
+    """
+    from jaxblur.sequence import frame_ranges
 
-class _Once(logging.Filter):
-    """Passes a remark that repeats once."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._said: set[str] = set()
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to pass a record."""
-        text = record.getMessage()
-        repeats = record.levelno == logging.INFO and text in self._said
-        self._said.add(text)
-        return not repeats
-
-
-@contextlib.contextmanager
-def remarks_once() -> Iterator[None]:
-    """Pass remarks that several files have in common once."""
     once = _Once()
     LOG.addFilter(once)
     try:
         yield
     finally:
         LOG.removeFilter(once)
+        for text, frame, more in once.warnings.values():
+            if more:
+                LOG.warning(
+                    "frame %d and %d more (%s; -v prints each): %s",
+                    *(frame, len(more), frame_ranges(more), text),
+                )
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from . import outputs, sequence, view_files
 from .arguments import CommandError, check_outputs, in_option_names
 from .choice import Choice
 from .errors import FAILED, is_foreseeable, message_of
-from .progress import remarks_once
+from .progress import messages_once
 from .single import blur_single
 
 LOG = logging.getLogger("jaxblur")
@@ -105,7 +105,7 @@ def blur_several(arguments: argparse.Namespace, asked: Choice, places: Sequence[
             exr.refuse_overwrite(output, *(place.input for place in places))
         check_outputs(written, frame.overwrite)
     failed = 0
-    with remarks_once():
+    with messages_once():
         for frame in frames:
             try:
                 blur_single(frame, asked)

@@ -16,7 +16,7 @@ from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import require_neighbors, takes_neighbors
 from .loading import Loaded, load, mismatch, read, tell_rest
-from .progress import remarks_once
+from .progress import messages_once
 from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
 
@@ -54,7 +54,7 @@ def blur_single(arguments: argparse.Namespace, asked: Choice) -> int:
         _print_plan(asked, arguments, frames)
         return 0
     rows, shots = [], []
-    with remarks_once():
+    with messages_once():
         # All views are read before one is written.
         started = time.perf_counter()
         exposed = [_load_views(frame.arguments, asked, frame.eyes) for frame in frames]

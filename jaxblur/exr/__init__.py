@@ -74,7 +74,7 @@ from .listing import (
     inspect as inspect,
 )
 from .opening import FileStates as FileStates
-from .output import has_its_end as has_its_end
+from .output import is_complete as is_complete
 from .passes import choose_passes as choose_passes
 from .pictures import BITS as BITS, LINEAR_BITS as LINEAR_BITS, bits_of as bits_of
 from .ranks import (

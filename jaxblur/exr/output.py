@@ -1,24 +1,27 @@
 """Headers and writers of OpenImageIO, with checks that opening, writing and closing succeeded."""
 
 import contextlib
+import os
 import pathlib
+import struct
 import warnings
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 
+from .._util.atomic import free_bytes, full_disk
 from .._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from .listing import inspect
 from .notes import is_whole
 from .opening import open_input, pending_message
 
-LAST_BYTES = {
-    ".png": b"IEND\xaeB`\x82",
-    ".jpg": b"\xff\xd9",
-    ".jpeg": b"\xff\xd9",
-}
+LONGEST_TEXT = 60_000
+"""Bytes of a description that a JPEG holds; it stores it twice."""
+_JPEG_END = b"\xff\xd9"
+_PNG_START = b"\x89PNG\r\n\x1a\n"
 HALF_MAX = 65504.0
 # These attributes describe how a model is stored, which may change; with `textureformat` the writer
 # would expect all levels of a mip-mapped picture, and OpenEXR keeps `version` for itself.
@@ -47,8 +50,34 @@ def writer(
         An ``OpenImageIO.ImageOutput``, open for the first part.
 
     Raises:
-        JaxblurIOError: opening or closing failed.
+        JaxblurIOError: opening or closing failed, or the file lacks bytes. If the disk is full,
+            errors of the body say so too.
     """
+    try:
+        with _open_writer(path, temporary, specs) as output:
+            yield output
+        if finish is not None:
+            finish()
+        if not is_complete(temporary):
+            raise JaxblurIOError(
+                path, "cannot be written: bytes are missing; is the disk full, or a quota used up?"
+            )
+    except JaxblurIOError as error:
+        if error.path != os.fspath(path):
+            raise
+        needed, free = bytes_needed(specs), free_bytes(path) + os.path.getsize(temporary)
+        if free < needed:
+            raise full_disk(path, needed, free) from error
+        raise JaxblurIOError(path, error.reason.replace(temporary, error.path)) from error
+
+
+def bytes_needed(specs: Sequence[Any]) -> int:
+    """The bytes that a file of some headers needs at most: pixels and metadata as they are."""
+    return sum(spec.image_bytes(True) for spec in specs) + 3 * LONGEST_TEXT
+
+
+@contextlib.contextmanager
+def _open_writer(path: PathLike, temporary: str, specs: Sequence[Any]) -> Iterator[Any]:
     output = oiio.ImageOutput.create(temporary)
     if output is None:
         raise JaxblurIOError(path, f"cannot be written: {pending_message()}")
@@ -64,30 +93,43 @@ def writer(
         output.close()
         pending_message(output)
         raise
-    check(path, output, output.close())
-    if finish is not None:
-        finish()
-    # On a full disk, closing may lose the end without an error.
-    if not has_its_end(temporary):
-        raise JaxblurIOError(path, "cannot be written: its end is missing; is the disk full?")
+    closed = output.close()
+    # The writer of PNG goes on after bytes that a full disk did not take.
+    check(path, output, closed and not output.has_error)
 
 
-def has_its_end(path: PathLike) -> bool:
-    """Whether a file that was written here has not lost its end; all else is not looked at.
+def is_complete(path: PathLike) -> bool:
+    """Whether a file that was written here has all that a full disk may take from it.
+
+    Closing may lose the end of a file without an error. Before, bytes in the middle are lost only
+    in a PNG, whose writer goes on, and which has checksums.
 
     Args:
         path: an EXR, PNG, TIFF or JPEG.
     """
     suffix = pathlib.Path(path).suffix.lower()
-    if suffix in LAST_BYTES:
-        with open(path, "rb") as file:
-            return file.read().endswith(LAST_BYTES[suffix])
+    if suffix in (".jpg", ".jpeg"):
+        return pathlib.Path(path).read_bytes().endswith(_JPEG_END)
+    if suffix == ".png":
+        return _has_png_chunks(pathlib.Path(path).read_bytes())
     try:
         # The header of a TIFF is behind its pixels, and may end in the description.
         described = suffix == ".exr" or is_whole(inspect(path).parts[0].attributes)
         return described and _last_row_is_there(path)
     except JaxblurIOError:
         return False
+
+
+def _has_png_chunks(data: bytes) -> bool:
+    """Whether a PNG has all chunks up to the last one, IEND, each with its checksum."""
+    place, kind = len(_PNG_START), b""
+    while data.startswith(_PNG_START) and kind != b"IEND" and place + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, place)
+        kind, checked = data[place + 4 : place + 8], data[place + 4 : place + 8 + length]
+        place += 12 + length
+        if data[place - 4 : place] != struct.pack(">I", zlib.crc32(checked)):
+            return False
+    return kind == b"IEND"
 
 
 def _last_row_is_there(path: PathLike) -> bool:
@@ -117,7 +159,7 @@ def check(path: PathLike, output: Any, succeeded: bool) -> None:
         JaxblurIOError: the method failed.
     """
     if not succeeded:
-        raise JaxblurIOError(path, f"cannot be written: {pending_message(output)}.")
+        raise JaxblurIOError(path, f"cannot be written: {pending_message(output).rstrip('.')}.")
 
 
 def set_formats(spec: Any, kinds: Sequence[str]) -> None:

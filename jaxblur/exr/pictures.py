@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import shutil
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -11,11 +10,11 @@ import numpy as np
 import OpenImageIO as oiio
 
 from jaxblur import srgb
-from jaxblur._util.atomic import replacing
+from jaxblur._util.atomic import free_bytes, full_disk, replacing
 from jaxblur._util.errors import JaxblurIOError, PathLike
 
 from .notes import DESCRIPTION, to_text
-from .output import check, set_attributes, writer
+from .output import LONGEST_TEXT, bytes_needed, check, set_attributes, writer
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -34,8 +33,6 @@ LINEAR_BITS = 32
 # OpenImageIO fails to write an empty table of them.
 _UNCALIBRATED = 65535
 _JPEG = (".jpg", ".jpeg")
-_LONGEST_TEXT = 60_000
-"""Bytes of a description that a JPEG holds; it stores it twice."""
 
 
 def bits_of(path: PathLike, bits: int | None) -> int:
@@ -98,20 +95,16 @@ def write_picture(
     else:
         spec.attribute(DESCRIPTION, text)
     if suffix in _JPEG and file.parent.is_dir():
-        _check_jpeg(file, pixels.nbytes, text)
+        _check_jpeg(file, bytes_needed([spec]), text)
     with replacing(path, last_check) as temporary, writer(path, temporary, [spec]) as output:
         check(path, output, output.write_image(pixels))
 
 
-def _check_jpeg(path: pathlib.Path, pixels: int, text: str) -> None:
+def _check_jpeg(path: pathlib.Path, needed: int, text: str) -> None:
     """Reject what libjpeg would end the process for: long metadata, and a full disk."""
-    if len(text) > _LONGEST_TEXT:
+    if len(text) > LONGEST_TEXT:
         raise JaxblurIOError(
-            path, f"has {len(text)} bytes of metadata, a JPEG holds {_LONGEST_TEXT}; write .png."
+            path, f"has {len(text)} bytes of metadata, a JPEG holds {LONGEST_TEXT}; write .png."
         )
-    needed = pixels + 3 * _LONGEST_TEXT
-    free = shutil.disk_usage(path.parent).free
-    if free < needed:
-        raise JaxblurIOError(
-            path, f"needs up to {needed} bytes, and its disk has {free}; free some space."
-        )
+    if (free := free_bytes(path)) < needed:
+        raise full_disk(path, needed, free)

@@ -1,6 +1,7 @@
 """Write an image in place of the color of a model file, and keep all else that the model holds."""
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -236,13 +237,8 @@ def _write_parts(
     specs = [plan.spec for plan in plans]
     stored = _stored_alike(info, temporary, plans, mend)
 
-    def append() -> None:
-        try:
-            copy_chunks(info.path, temporary, stored)
-        except OSError as error:
-            raise JaxblurIOError(path, f"cannot be written: {error.strerror}.") from error
-
-    with writer(path, temporary, specs, append if stored else None) as output:
+    append = functools.partial(copy_chunks, info.path, temporary, stored) if stored else None
+    with writer(path, temporary, specs, append) as output:
         for position, plan in enumerate(plans):
             if position:
                 check(path, output, output.open(temporary, plan.spec, "AppendSubimage"))

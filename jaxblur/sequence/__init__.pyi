@@ -4,6 +4,7 @@ from .jobs import (
     Job as Job,
     Plan as Plan,
     digest as digest,
+    plan_frame as plan_frame,
     plan_jobs as plan_jobs,
 )
 from .names import (

@@ -7,10 +7,12 @@ file twice, each time completely or not at all.
 
 import contextlib
 import logging
+import signal
 import threading
 import uuid
 import warnings
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from multiprocessing import resource_tracker
 from typing import Any
 
 import jaxblur
@@ -120,7 +122,7 @@ def cluster_client(scheduler: str, workers: int = 2) -> Iterator[Any]:
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if scheduler == LOCAL:
-            with config.set(NO_PAGES):
+            with config.set(NO_PAGES), _without_interruptions():
                 cluster = LocalCluster(n_workers=workers, security=security, **LOCAL_OPTIONS)
             address = stack.enter_context(cluster)
         try:
@@ -131,6 +133,25 @@ def cluster_client(scheduler: str, workers: int = 2) -> Iterator[Any]:
                 "`dask scheduler` prints, such as tcp://farm:8786."
             ) from error
         yield stack.enter_context(client)
+
+
+@contextlib.contextmanager
+def _without_interruptions() -> Iterator[None]:
+    """Keep Ctrl-C from the threads that start here, and from their processes, for good.
+
+    A terminal sends it to all processes of a command: workers would print where they are. This
+    thread gets one that arrives meanwhile at the end.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # As it starts, it unblocks the signal for the thread that needs it first.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _outcome(future: Any, job: Job) -> Outcome:

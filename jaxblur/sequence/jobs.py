@@ -65,6 +65,10 @@ class Plan:
         """Return the jobs that have one of the actions."""
         return [job for job in self.jobs if job.action in actions]
 
+    def needs_overwrite(self) -> bool:
+        """Whether there are files now that a run without ``overwrite`` would refuse to replace."""
+        return any(_refusal(job, _headers_of(job)) for job in self.with_action("blur", "pass"))
+
 
 def digest(choices: Mapping[str, Any]) -> str:
     """Hash choices, so that files made with equal choices can be recognized.
@@ -121,7 +125,7 @@ def plan_jobs(
 
     Returns:
         The plan. Outputs are kept if they were made with the same choices from inputs that have not
-        changed since, and made again if the inputs have changed or an output has lost its end. Any
+        changed since, and made again if the inputs have changed or an output is damaged. Any
         other existing file at an output is refused.
 
     Raises:
@@ -129,42 +133,56 @@ def plan_jobs(
     """
     return Plan(
         tuple(
-            _plan_job(
-                *(frame, sources, outputs, {**choices, "pass": frame in cuts}, overwrite),
-                _neighbors_of(frame, sources, cuts) if neighbors else {},
+            plan_frame(
+                *(frame, at_frame(sources, frame), [names.path(frame) for names in outputs]),
+                {**choices, "pass": frame in cuts},
+                overwrite=overwrite,
+                neighbors=_neighbors_of(frame, sources, cuts) if neighbors else {},
             )
             for frame in frames
         )
     )
 
 
-def _plan_job(
+def plan_frame(
     frame: int,
-    sources: Mapping[str, FrameNames | pathlib.Path],
-    outputs: Sequence[FrameNames],
+    inputs: Mapping[str, pathlib.Path],
+    files: Sequence[pathlib.Path],
     choices: Mapping[str, Any],
+    *,
     overwrite: bool,
     neighbors: Mapping[int, Mapping[str, pathlib.Path]],
 ) -> Job:
-    inputs = at_frame(sources, frame)
-    files = tuple(names.path(frame) for names in outputs)
+    """Choose the action for one frame.
+
+    Args:
+        frame: its number.
+        inputs: input files by role.
+        files: to write.
+        choices: as of `plan_jobs`; with a true ``pass`` the frame is passed through.
+        overwrite: as of `plan_jobs`.
+        neighbors: input files by role of the frames before and after, by number.
+
+    Raises:
+        JaxblurIOError: an output is one of the inputs.
+    """
     for file in files:
         exr.refuse_overwrite(file, *inputs.values(), *_files_of(neighbors, frame).values())
     missing = [str(path) for path in inputs.values() if not path.is_file()]
     if missing:
-        return Job(frame, inputs, files, "missing", f"{missing[0]}: no such file", {})
+        return Job(frame, inputs, tuple(files), "missing", f"{missing[0]}: no such file", {})
     # Recorded before the file is read, so that the next run notices an input that changes
     # meanwhile.
     state = _state_of({**inputs, **_files_of(neighbors, frame)})
     marks = {DIGEST: digest(choices), INPUT_STATE: state}
-    action: Action = "pass" if choices["pass"] else "blur"
-    job = Job(frame, inputs, files, action, "new", marks, neighbors=neighbors)
+    action: Action = "pass" if choices.get("pass") else "blur"
+    job = Job(frame, inputs, tuple(files), action, "new", marks, neighbors=neighbors)
     present = [file for file in files if os.path.lexists(file)]
     if not present:
         return job
     if overwrite:
         return dataclasses.replace(job, reason=f"replaces {present[0].name}")
-    return _compare(job, present)
+    return _compare(job)
 
 
 def _neighbors_of(
@@ -201,23 +219,33 @@ def _is_truth(role: str) -> bool:
     return role.partition(":")[0] == "truth"
 
 
-def _compare(job: Job, present: Sequence[pathlib.Path]) -> Job:
+def _compare(job: Job) -> Job:
     """Compare existing outputs with those that this run would write."""
-    found = {file: _marks_in(file) for file in present}
+    found = _headers_of(job)
+    if refusal := _refusal(job, found):
+        return dataclasses.replace(job, action="refuse", reason=refusal)
+    if any(marks.get(INPUT_STATE) != job.marks[INPUT_STATE] for marks in found.values()):
+        return dataclasses.replace(job, reason="the input has changed since")
+    if len(found) < len(job.outputs):
+        return dataclasses.replace(job, reason="a file is missing")
+    if not all(map(exr.is_complete, found)):
+        return dataclasses.replace(job, reason="a file is damaged")
+    speed = _number(next(iter(found.values())).get(MEAN_SPEED))
+    return dataclasses.replace(job, action="keep", reason="done before", mean_speed=speed)
+
+
+def _headers_of(job: Job) -> dict[pathlib.Path, dict[str, Any]]:
+    """The attributes of the outputs that exist."""
+    return {file: _marks_in(file) for file in job.outputs if os.path.lexists(file)}
+
+
+def _refusal(job: Job, found: Mapping[pathlib.Path, Mapping[str, Any]]) -> str:
+    """The reason not to replace one of the existing outputs; empty if there is none."""
     for file, marks in found.items():
         if marks.get(DIGEST) != job.marks[DIGEST]:
             how = "with other parameters" if DIGEST in marks else "by something else"
-            return dataclasses.replace(
-                job, action="refuse", reason=f"{file} was made {how}; {REMEDY}"
-            )
-    if any(marks.get(INPUT_STATE) != job.marks[INPUT_STATE] for marks in found.values()):
-        return dataclasses.replace(job, reason="the input has changed since")
-    if len(present) < len(job.outputs):
-        return dataclasses.replace(job, reason="a file is missing")
-    if not all(map(exr.has_its_end, present)):
-        return dataclasses.replace(job, reason="a file has lost its end")
-    speed = _number(next(iter(found.values())).get(MEAN_SPEED))
-    return dataclasses.replace(job, action="keep", reason="done before", mean_speed=speed)
+            return f"{file} was made {how}; {REMEDY}"
+    return ""
 
 
 def _number(attribute: Any) -> float | None:

@@ -6,7 +6,7 @@ import itertools
 import os
 import pathlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 PathLike = str | os.PathLike[str]
 
@@ -219,15 +219,14 @@ def missing_frames(frames: Sequence[int]) -> str:
         none is missing.
     """
     step = min((b - a for a, b in itertools.pairwise(frames)), default=1)
-    missing = sorted(set(range(frames[0], frames[-1], step)) - set(frames))
-    return frame_ranges(missing) if missing else ""
+    return frame_ranges(set(range(frames[0], frames[-1], step)) - set(frames))
 
 
-def frame_ranges(frames: Sequence[int]) -> str:
-    """Return frames in the form that `parse_frames` takes, such as ``1001-1004,1006``."""
+def frame_ranges(frames: Collection[int]) -> str:
+    """Frames as text that `parse_frames` reads, such as ``1004,1007-1009``; empty without any."""
     from fileseq.frameset import FrameSet
 
-    return str(FrameSet.framesToFrameRange(frames))
+    return str(FrameSet.framesToFrameRange(sorted(frames))) if frames else ""
 
 
 def at_frame(names: Mapping[str, FrameNames | pathlib.Path], frame: int) -> dict[str, pathlib.Path]:

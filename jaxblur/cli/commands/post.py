@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import itertools
 import logging
 import pathlib
 from collections.abc import Sequence
@@ -26,7 +25,7 @@ from ..console import print_line, print_table, track
 from ..errors import FAILED, is_foreseeable, message_of
 from ..loading import shown_truth
 from ..outputs import add_output_option, check_output, files_of
-from ..progress import remarks_once
+from ..progress import about_frame, messages_once
 from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
 from ..sequence import (
     WRITE_FAILURES,
@@ -34,7 +33,9 @@ from ..sequence import (
     frames_on_disk,
     hint_of,
     names_of,
+    options_that_count,
     print_scores,
+    refuse_existing,
     refuse_shell_pattern,
     scores_record,
     with_all_frames,
@@ -56,9 +57,17 @@ def add_parser(commands: Any) -> None:
         "for each view",
     )
     add_output_option(parser)
-    parser.add_argument("--overwrite", action="store_true", help="replace existing outputs")
     parser.add_argument(
-        "--frames", type=frame_numbers, metavar="A-B[xN]", help="of a sequence (default: all)"
+        "--overwrite",
+        action="store_true",
+        help="replace existing outputs; without it a sequence keeps frames that were made in the "
+        "same way, and makes those again whose inputs have changed",
+    )
+    parser.add_argument(
+        *("-F", "--frames"),
+        type=frame_numbers,
+        metavar="A-B[xN]",
+        help="of a sequence (default: all)",
     )
     posts.add_options(parser, "--do", required=True)
     views.add_options(parser, blurs=False)
@@ -78,19 +87,17 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the posts on a picture or a sequence; see `add_parser`."""
-    from jaxblur import exr
-
     posts.check(arguments)
     check_colors(arguments)
     views.check(arguments)
     _check_depth(arguments)
-    jobs = [job for each in with_all_frames(view_files.each(arguments)) for job in _jobs(each)]
-    for job in jobs:
-        for file, output in itertools.product(job.sources(), job.files):
-            exr.refuse_overwrite(output, file)
-    check_outputs([output for job in jobs for output in job.files], arguments.overwrite)
+    found = [job for each in with_all_frames(view_files.each(arguments)) for job in _jobs(each)]
+    refuse_existing([job.plan for job in found if job.plan])
+    jobs = [job for job in found if not job.is_kept]
+    if len(jobs) < len(found):
+        LOG.info("%d of %d frames are kept, done before", len(found) - len(jobs), len(found))
     start_jax(not arguments.no_compile_cache)
-    with remarks_once():
+    with messages_once():
         done = _do(jobs)
     _print_scores(",".join(arguments.posts), done)
     if failed := len(jobs) - len(done):
@@ -109,9 +116,10 @@ def _do(jobs: Sequence["_Job"]) -> list[tuple["_Job", _Scored]]:
     for job in (jobs[k] for k in (track(numbers, "post") if len(jobs) > 1 else numbers)):
         stage = "read"
         try:
-            made = _made(job)
-            stage = "write"
-            _write(job, made)
+            with about_frame(job.frame):
+                made = _made(job)
+                stage = "write"
+                _write(job, made)
         except Exception as error:
             if job.frame is None or not is_foreseeable(error):
                 raise
@@ -164,12 +172,23 @@ class _Job(NamedTuple):
     """A picture and what is written: see `files_of`.
 
     Its arguments are those of the command, or of a view that has files, with the files of the
-    picture in ``input``, ``depth_from`` and ``truth``. Its frame is None for a single picture.
+    picture in ``input``, ``depth_from`` and ``truth``. Its plan is a `jaxblur.sequence.Job`, None
+    for a single picture.
     """
 
     arguments: argparse.Namespace
-    frame: int | None
+    plan: Any
     files: list[pathlib.Path]
+
+    @property
+    def frame(self) -> int | None:
+        """The number of the frame; None for a single picture."""
+        return self.plan and self.plan.frame
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether a former run has made the same."""
+        return self.plan is not None and self.plan.action == "keep"
 
     def sources(self) -> list[pathlib.Path]:
         """The files that are read."""
@@ -189,25 +208,35 @@ def _roles(arguments: argparse.Namespace) -> tuple[str, ...]:
 def _jobs(arguments: argparse.Namespace) -> list[_Job]:
     """The work on every frame, or on every frame of a view that has files."""
     from jaxblur import exr
-    from jaxblur.sequence import at_frame, has_frame_number, parse_names
+    from jaxblur.sequence import at_frame, has_frame_number, parse_names, plan_frame
 
     check_output(arguments)
     if arguments.frames is None and not has_frame_number(arguments.input):
         refuse_shell_pattern(arguments.input)
-        return [
-            _Job(arguments, None, files_of(arguments, arguments.output, views.names_of(arguments)))
-        ]
-    sources, outputs = names_of(arguments, _roles(arguments)), parse_names(arguments.output)
+        files = files_of(arguments, arguments.output, views.names_of(arguments))
+        job = _Job(arguments, None, files)
+        for output in files:
+            exr.refuse_overwrite(output, *job.sources())
+        check_outputs(files, arguments.overwrite)
+        return [job]
+    roles = _roles(arguments)
+    sources, outputs = names_of(arguments, roles), parse_names(arguments.output)
+    choices = options_that_count(arguments, roles)
     numbers = arguments.frames or frames_on_disk(sources["input"])
     check_truth(arguments, numbers)
     found = []
     for number in numbers:
-        here = argparse.Namespace(**vars(arguments) | at_frame(sources, number))
+        inputs = at_frame(sources, number)
+        here = argparse.Namespace(**vars(arguments) | inputs)
         names: list[str] = []
         # A frame that cannot be read is reported when it is its turn.
         with contextlib.suppress(exr.JaxblurIOError):
             names = views.names_of(here)
-        found.append(_Job(here, number, files_of(here, outputs.path(number), names)))
+        files = files_of(here, outputs.path(number), names)
+        plan = plan_frame(
+            *(number, inputs, files, choices), overwrite=arguments.overwrite, neighbors={}
+        )
+        found.append(_Job(here, plan, files))
     if all(job.missing() for job in found):
         hint = "" if found[0].arguments.input.is_file() else hint_of(sources["input"])
         raise CommandError(
@@ -302,6 +331,7 @@ def _write(job: _Job, made: _Made) -> None:
         "jaxblur:version": jaxblur.__version__,
         "jaxblur:post_inputs": ", ".join(sources),
         **posts.notes(arguments),
+        **(job.plan.marks if job.plan else {}),
     }
     like = source if source.suffix.lower() == ".exr" else None
     images, channels = made.images, [view.channels for view in made.views]

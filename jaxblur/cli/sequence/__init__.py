@@ -17,6 +17,8 @@ from .plan import (
     frames_on_disk as frames_on_disk,
     hint_of as hint_of,
     names_of as names_of,
+    options_that_count as options_that_count,
+    refuse_existing as refuse_existing,
     with_all_frames as with_all_frames,
 )
 from .report import print_scores as print_scores, scores_record as scores_record

@@ -7,7 +7,7 @@ import hashlib
 import logging
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import jaxblur
@@ -70,16 +70,14 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
             raise CommandError(f"--{name}: is for a single frame, not for a sequence{also}.")
     sources = names_of(arguments, roles(arguments))
     outputs.check_output(arguments)
-    frames = arguments.frames or frames_on_disk(sources["input"])
+    frames = arguments.frames or _frames_of_all(arguments, sources)
     check_truth(arguments, frames)
     if arguments.result is not None and arguments.output.suffix.lower() != ".exr":
         raise CommandError(
             f"--result: the frames of a sequence are read back from {arguments.output}, and "
             "pictures do not hold what was scored; write .exr, with --png for a .png beside each."
         )
-    for frame in arguments.cut:
-        if frame not in frames:
-            raise CommandError(f"--cut: frame {frame} is not among the frames of this run.")
+    _check_cuts(arguments, frames, sources["input"])
     names = parse_names(_placed(arguments, arguments.output))
     targets = outputs.files_of(arguments, names, _views(arguments, sources, frames))
     settle_convention(arguments, sources)
@@ -93,6 +91,32 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
         neighbors=neighbors,
     )
     return plan, sources["input"]
+
+
+def _frames_of_all(arguments: argparse.Namespace, sources: Mapping[str, Any]) -> list[int]:
+    """The frames of the input; those that only other layers have give a warning."""
+    from jaxblur.sequence import FrameNames, frame_ranges
+
+    own = sources["input"]
+    frames = frames_on_disk(own)
+    for layer in dict.fromkeys(sources[role] for role in stack.roles(arguments)):
+        if isinstance(layer, FrameNames) and (more := {*layer.frames_on_disk()} - {*frames}):
+            LOG.warning(
+                "%s: frames that it lacks are left out: %s, which %s has.",
+                *(own.pattern, frame_ranges(more), layer.pattern),
+            )
+    return frames
+
+
+def _check_cuts(arguments: argparse.Namespace, frames: Sequence[int], names: Any) -> None:
+    """Reject cuts at frames that are neither of this run nor on disk.
+
+    Cuts at other frames of the sequence matter too: no frame beside one sees it.
+    """
+    unknown = {*arguments.cut} - {*frames}
+    unknown = unknown - {*names.frames_on_disk()} if unknown else unknown
+    if unknown:
+        raise CommandError(f"--cut: {names.pattern} has no frame {min(unknown)}.")
 
 
 def check_truth(arguments: argparse.Namespace, frames: Sequence[int]) -> None:
@@ -124,13 +148,26 @@ def refuse(plan: Any, names: Any) -> None:
     Raises:
         CommandError: it is so.
     """
-    refused, missing = plan.with_action("refuse"), plan.with_action("missing")
-    if refused:
-        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
-        raise CommandError(f"{refused[0].reason}{more}.")
+    missing = plan.with_action("missing")
+    refuse_existing(plan.jobs)
     if len(missing) == len(plan.jobs):
         hint = "" if missing[0].inputs["input"].is_file() else hint_of(names)
         raise CommandError(f"{missing[0].reason}, nor any other frame asked for{hint}.")
+
+
+def refuse_existing(jobs: Sequence[Any]) -> None:
+    """Stop before any work if an output must not be replaced.
+
+    Args:
+        jobs: of `jaxblur.sequence`.
+
+    Raises:
+        CommandError: it is so.
+    """
+    refused = [job for job in jobs if job.action == "refuse"]
+    if refused:
+        more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
+        raise CommandError(f"{refused[0].reason}{more}.")
 
 
 def roles(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -212,15 +249,9 @@ def _uses_neighbors(arguments: argparse.Namespace, asked: Choice) -> bool:
 def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     """Every choice that determines an output besides its inputs.
 
-    An option counts unless it is named in `NOT_A_CHOICE`. Options and settings count where they
-    differ from their defaults, so that a new one leaves outputs as they are.
+    Settings count where they differ from their defaults, as options do.
     """
-    places, usual = NOT_A_CHOICE | {*roles(arguments)}, arguments.option_defaults
-    given = {
-        key: value
-        for key, value in vars(arguments).items()
-        if key not in places and value != usual.get(key)
-    }
+    given = options_that_count(arguments, roles(arguments))
     if arguments.filter and ":" in arguments.filter:
         given["filter_file"] = _sha256(arguments.filter.rpartition(":")[0])
     if arguments.exposure is not None:
@@ -231,7 +262,26 @@ def _choices(arguments: argparse.Namespace, asked: Choice) -> dict[str, Any]:
     plain = dataclasses.asdict(type(asked.settings)())
     changed = {k: v for k, v in dataclasses.asdict(asked.settings).items() if v != plain[k]}
     chosen = {"name": asked.name, "parameters": dict(asked.parameters), "settings": changed}
-    return given | chosen | {"version": jaxblur.__version__}
+    return given | chosen
+
+
+def options_that_count(arguments: argparse.Namespace, roles: Collection[str]) -> dict[str, Any]:
+    """The options that determine an output besides its inputs, and the version.
+
+    An option counts unless it is named in `NOT_A_CHOICE`, where it differs from its default, so
+    that a new one leaves outputs as they are.
+
+    Args:
+        arguments: of the command.
+        roles: of the files of a frame.
+    """
+    places, usual = NOT_A_CHOICE | {*roles}, arguments.option_defaults
+    given = {
+        key: value
+        for key, value in vars(arguments).items()
+        if key not in places and value != usual.get(key)
+    }
+    return given | {"version": jaxblur.__version__}
 
 
 def _sha256(path: str) -> str:

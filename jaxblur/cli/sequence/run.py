@@ -14,7 +14,7 @@ from ..choice import Choice
 from ..compute import start_jax
 from ..errors import FAILED, is_foreseeable, message_of
 from ..loading import tell_rest
-from ..progress import about_frame, frame_messages, progress
+from ..progress import about_frame, messages_once, progress
 from . import report
 from .frame_work import FrameWork
 from .plan import at_job, make_plan, refuse, with_all_frames
@@ -55,10 +55,16 @@ def blur_sequence(arguments: argparse.Namespace, asked: Choice) -> int:
     for run in runs:
         if todo := run.plan.with_action("blur"):
             mattes.warn_of_sharp(run.arguments, todo[0].inputs["input"])
-    with frame_messages():
-        with _client(arguments, runs) as client:
-            for run in runs:
-                run.work(client)
+    with messages_once():
+        try:
+            with _client(arguments, runs) as client:
+                for run in runs:
+                    run.work(client)
+        except KeyboardInterrupt as interruption:
+            written, total = sum(r.count_written() for r in runs), sum(len(r.todo) for r in runs)
+            raise KeyboardInterrupt(
+                f"interrupted; {written} of {total} frames are written; {_way_on(arguments, runs)}"
+            ) from interruption
         report.print_outcome(arguments, _records(runs))
         _leave_result(arguments, runs)
     return 0 if all([run.is_done() for run in runs]) else FAILED
@@ -74,6 +80,15 @@ def _client(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> Iterator[A
         return
     with cluster_client(arguments.scheduler, arguments.workers or 2) as client:
         yield client
+
+
+def _way_on(arguments: argparse.Namespace, runs: Sequence["_Run"]) -> str:
+    """What to do after an interruption, in words."""
+    if not arguments.overwrite:
+        return "the same command continues from there"
+    if any(run.plan.needs_overwrite() for run in runs):
+        return "the same command starts again, since only --overwrite replaces the others"
+    return "the same command without --overwrite continues from there"
 
 
 def _records(runs: Sequence["_Run"]) -> list[dict[str, Any]]:
@@ -101,6 +116,7 @@ class _Run:
         self.arguments, self.asked = arguments, asked
         self.plan, self.names = make_plan(arguments, asked)
         self.todo = self.plan.with_action("blur", "pass")
+        self.before = [_times(job) for job in self.todo]
         self.selects: list[bool] = []
         self.view = view_files.label_of(arguments, several=False)
         self.records = {job.frame: report.record_of(job, self.view) for job in self.plan.jobs}
@@ -131,6 +147,11 @@ class _Run:
             LOG.error("frame %d: %s", job.frame, job.reason)
         if self.todo:
             self._work(_outcomes(self.arguments, self.asked, self.todo, client))
+
+    def count_written(self) -> int:
+        """How many frames are written; a frame may be on disk that no record has yet."""
+        pairs = zip(map(_times, self.todo), self.before, strict=True)
+        return sum(None not in now and now != earlier for now, earlier in pairs)
 
     def is_done(self) -> bool:
         """Whether every frame is there, as it should be; what is wrong is reported."""
@@ -172,7 +193,6 @@ class _Run:
         return bool(others)
 
     def _work(self, outcomes: Any) -> None:
-        before = [_times(job) for job in self.todo]
         refused = 0
         try:
             with progress(len(self.todo)) as tell:
@@ -182,15 +202,6 @@ class _Run:
                     if refused == WRITE_FAILURES:
                         LOG.error("%d frames in a row cannot be written; stopping.", refused)
                         break
-        except KeyboardInterrupt as interruption:
-            # Stages that run are finished first, so frames may be on disk that no record has yet.
-            outcomes.close()
-            pairs = zip(map(_times, self.todo), before, strict=True)
-            written = sum(None not in now and now != earlier for now, earlier in pairs)
-            raise KeyboardInterrupt(
-                f"interrupted; {written} of {len(self.todo)} frames are written; the same command "
-                "continues from there"
-            ) from interruption
         finally:
             outcomes.close()
 
