@@ -77,6 +77,24 @@ def test_a_plane_out_of_focus_is_blurred_by_its_disc():
     assert abs(error.mean()) < 1e-3
 
 
+@pytest.mark.parametrize("fetch", ["nearest", "bilinear"])
+def test_a_point_spreads_as_far_as_its_disc(fetch):
+    frame = still_frame(1e6)
+    color = np.zeros((*SIZE, 1), np.float32)
+    color[8:16, 10:20] = 1
+    settings = Settings(samples=35, radius=12, fetch=fetch)
+    image = through(frame.replace(color=jnp.asarray(color)), settings=settings)
+    radius = float(circle_of_confusion(frame, LENS)[0, 0])
+
+    def variance(image):
+        share = image.sum(axis=(0, 2)) / image.sum()
+        place = np.arange(SIZE[1])
+        return share @ place**2 - (share @ place) ** 2
+
+    # A disc has a variance of radius^2 / 4 a side. Bilinear reading alone would add 1/6.
+    assert variance(np.asarray(image)) - variance(color) == pytest.approx(radius**2 / 4, abs=0.06)
+
+
 @pytest.mark.slow
 def test_discs_before_and_behind_the_focus_are_alike():
     far = 1e6

@@ -8,6 +8,7 @@ the scores that a former run has written.
 """
 
 import csv
+import dataclasses
 import functools
 import time
 from collections.abc import Callable
@@ -77,7 +78,7 @@ def blur(frame: jaxblur.Frame, name: str, color: Any, samples: int = 35, **more:
     """Blur some color by the motion of a frame."""
     info = filter_info(name)
     call: Any = info.call
-    settings = info.kind(samples=samples, radius=40)
+    settings = dataclasses.replace(info.settings, samples=samples, radius=40)
     return call(frame.replace(color=color), info.make_parameters(), settings=settings, **more)
 
 

@@ -20,31 +20,31 @@ from .layered_loops import (
     purest,
 )
 
-GOLDEN = 1.32471795724474602596
+
+def halton(number, base):
+    """The digits of a number, mirrored at the point."""
+    value, unit = 0.0, 1.0
+    while number:
+        number, digit = divmod(number, base)
+        unit /= base
+        value += digit * unit
+    return value
 
 
-def on_disc(a, b):
-    """Shirley and Chiu's concentric map, in polar coordinates."""
-    if a == 0 and b == 0:
-        return np.zeros(2)
-    if abs(a) > abs(b):
-        radius, angle = a, math.pi / 4 * b / a
-    else:
-        radius, angle = b, math.pi / 2 - math.pi / 4 * a / b
-    return radius * np.array([math.cos(angle), math.sin(angle)])
+def points_of(count):
+    """Where on the unit disc the maps lie: one point for each ring and each sector."""
+    ranks = [np.argsort(np.argsort([halton(k, base) for k in range(count)])) for base in (2, 3)]
+    areas, turns = (np.array(ranks) + 0.5) / count
+    points = np.sqrt(areas) * np.exp(2j * math.pi * turns)
+    points = np.stack([points.real, points.imag], axis=-1)
+    points -= points.mean(axis=0)
+    return points / max(1.0, np.linalg.norm(points, axis=1).max())
 
 
-def places_of(count):
-    """Where on the square the maps lie."""
-    places = 2 * ((np.arange(count)[:, None] * np.array([1 / GOLDEN, 1 / GOLDEN**2])) % 1)
-    return places - places.mean(axis=0)
-
-
-def in_cell(place, turn, number, count, jitter):
-    """The place of a sample near that of its map."""
+def in_cell(point, turn, number, count, jitter):
+    """The point of a sample near that of its map."""
     shift = (turn + number / 2 + 0.5) % 1 - 0.5
-    moved = place + 2 / math.sqrt(count) * jitter * shift
-    return np.where(moved > 1, 2 - moved, np.where(moved < -1, -2 - moved, moved))
+    return point + 0.5 * math.sqrt(math.pi / count) * jitter * shift
 
 
 def owners_of(paths, discs, depth, radius, count, points):
@@ -109,10 +109,11 @@ def layered_through_lens(color, depth, velocity, parameters, settings, noise, le
     paths = paths_of(motion, z, parameters, radius, False)
     left = radius - np.hypot(*np.moveaxis(paths[..., :2], -1, 0))
     left = np.maximum(left - np.hypot(*np.moveaxis(paths[..., 2:], -1, 0)), 0)
-    discs = np.clip(infinity * (1 - focus / np.exp(z)), -left, left)
+    discs = infinity * (1 - focus / np.exp(z))
+    # Bilinear reading widens a disc by a variance of 1/6, which is 4/6 of squared radius.
+    discs = np.clip(discs**3 / (discs**2 + 1 / 3), -left, left)
     count = -(-samples // -(-samples // 64))
-    places = places_of(count)
-    points = [on_disc(*place) for place in places]
+    points = points_of(count)
     maps = owners_of(paths, discs, z, radius, count, points)
     out = color.copy()
     for at in np.ndindex(depth.shape):
@@ -133,8 +134,8 @@ def layered_through_lens(color, depth, velocity, parameters, settings, noise, le
                 continue
             t = (2 * i + 1 - samples + tap[at] * parameters["jitter"]) / samples
             own_t = (2 * index + 1 - count) / count
-            place = in_cell(places[index], tile[at], i, count, parameters["jitter"])
-            point, way = on_disc(*place), paths[owner]
+            point = in_cell(points[index], tile[at], i, count, parameters["jitter"])
+            way = paths[owner]
             x, y = -t * way[:2] - own_t**2 * way[2:] - discs[owner] * point
             where, counts = at_texel(at[0], at[1], x, y, depth.shape, settings["border"])
             there = t * paths[where][:2] + t * t * way[2:] + discs[where] * point

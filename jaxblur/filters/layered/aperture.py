@@ -6,8 +6,14 @@ it. So a path and a disc are one displacement for each time and point, and what 
 found as it is for time alone.
 
 The maps are seen from points that are spread evenly over the disc, in an order that does not
-follow the time. Noise moves a sample within the cell of its map from pixel to pixel.
+follow the time: points of one lattice would make stripes of what moves. Noise moves a sample about
+the point of its map from pixel to pixel.
+
+A color that is read between texels is blurred by the reading. This widens a disc, so that the
+discs are narrower by as much.
 """
+
+from __future__ import annotations
 
 import math
 from typing import NamedTuple
@@ -19,15 +25,19 @@ from jaxtyping import Array
 
 from ...kernels import At, Image, Outcome, each_pixel
 from ...safe_math import safe_norm
-from ...settings import Settings
+from ...settings import Fetch, Settings
 from .clock import Maps
 from .paths import Path, Vector
 
 MOST_MAPS = 64
 """Largest number of maps, so that many samples need no more memory."""
 
-GOLDEN = 1.32471795724474602596
-"""The number whose powers make the R2 sequence [Roberts 2018]."""
+CELL = 0.5
+"""Side of the square over which the samples of a map lie, as a share of the root of the area that
+its point stands for. Larger ones bring more noise than they hide bands."""
+
+_VARIANCE = {"nearest": 1 / 12, "blend": 1 / 12, "bilinear": 1 / 6}
+"""By how much reading a texel, or between texels, widens what is read; squared pixels a side."""
 
 
 class Aperture(NamedTuple):
@@ -36,14 +46,28 @@ class Aperture(NamedTuple):
     Attributes:
         infinity: radius of the disc of a point at infinity, pixels.
         focus: depth of the plane in focus, scene units.
+        variance: of what reading a color adds to a disc, squared pixels.
     """
 
     infinity: Array
     focus: Array
+    variance: Array
 
     def disc(self, log_depth: Array) -> Array:
-        """The signed radius of a disc, ``c_inf (1 - F / z)``, pixels."""
-        return self.infinity * (1 - self.focus * jnp.exp(-log_depth))
+        """The signed radius over which samples lie, pixels.
+
+        It is that of the disc, ``c = c_inf (1 - F / z)``, less what reading adds. The variance of a
+        disc is ``c^2 / 4`` a side, so that ``sqrt(c^2 - 4 variance)`` would keep it; this is nearly
+        that, and smooth.
+        """
+        radius = self.infinity * (1 - self.focus * jnp.exp(-log_depth))
+        squared = radius * radius
+        return radius * squared / (squared + 2 * self.variance)
+
+    @classmethod
+    def of(cls, infinity: Array, focus: Array, fetch: Fetch) -> Aperture:
+        """The aperture for a way to read colors."""
+        return cls(infinity, focus, jnp.asarray(_VARIANCE[fetch], infinity.dtype))
 
 
 class Paths(NamedTuple):
@@ -84,61 +108,50 @@ def maps_through_lens(samples: int) -> Maps:
     return Maps(count, count)
 
 
-def places_of(maps: Maps, dtype: DTypeLike) -> Array:
-    """Where on the aperture the maps are seen from, on the square [-1, 1]^2 of `on_disc`.
+def points_of(maps: Maps, dtype: DTypeLike) -> Array:
+    """The points of the unit disc that the maps are seen from.
+
+    Rings of equal area and sectors hold one point each. The Halton sequence says which of them
+    follow one another.
 
     Args:
         maps: how many.
         dtype: of the result.
 
     Returns:
-        (1, T, 2) points of the R2 sequence, with mean zero: another mean would move what is out of
-        focus.
+        (1, T, 2) points with mean zero: another mean would move what is out of focus.
     """
-    places = 2 * (np.outer(np.arange(maps.total), [1 / GOLDEN, 1 / GOLDEN**2]) % 1.0)
-    return jnp.asarray(places - places.mean(axis=0), dtype)[None]
+    from scipy.stats import qmc
+
+    order = qmc.Halton(2, scramble=False).random(maps.total).argsort(axis=0).argsort(axis=0)
+    area, turn = (order.T + 0.5) / maps.total
+    points = np.sqrt(area) * np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)])
+    points = points.T - points.mean(axis=1)
+    points /= max(1.0, np.hypot(*points.T).max())
+    return jnp.asarray(points, dtype)[None]
 
 
-def place_in_cell(
-    place: Vector, turn: Vector, number: Array, maps: Maps, jitter: Array | float | float
+def point_in_cell(
+    point: Vector, turn: Vector, number: Array, maps: Maps, jitter: Array | float
 ) -> Vector:
-    """The place of a sample in the cell of its map, a square of side ``2 / sqrt(T)``.
+    """The point from which a sample is seen, in a square about that of its map.
 
-    Noise moves it, by half a cell more in every other sample.
+    Noise moves it, by half a square more in every other sample.
 
     Args:
-        place: of the map.
+        point: of the map.
         turn: noise of the pixel, in [-1/2, 1/2).
         number: of the sample.
         maps: how many.
-        jitter: share of the cell over which samples lie.
+        jitter: share of `CELL` over which samples lie.
 
     Returns:
-        A place on the square, folded at its border.
+        A point of the disc, or slightly beyond its rim.
     """
-    side = 2 / math.sqrt(maps.total) * jitter
+    side = CELL * math.sqrt(math.pi / maps.total) * jitter
 
     def within(middle: Array, noise: Array) -> Array:
         shift = noise + number.astype(noise.dtype) / 2 + 0.5
-        moved = middle + side * (shift - jnp.floor(shift) - 0.5)
-        moved = jnp.where(moved > 1, 2 - moved, moved)
-        return jnp.where(moved < -1, -2 - moved, moved)
+        return middle + side * (shift - jnp.floor(shift) - 0.5)
 
-    return within(place[0], turn[0]), within(place[1], turn[1])
-
-
-def on_disc(place: Vector) -> Vector:
-    """The concentric map of the square [-1, 1]^2 to the unit disc, which keeps areas.
-
-    Source: Shirley and Chiu 1997.
-    """
-    across, down = place
-    wide = jnp.abs(across) > jnp.abs(down)
-    radius, other = jnp.where(wide, across, down), jnp.where(wide, down, across)
-    angle = (math.pi / 4) * other / jnp.where(radius == 0, 1, radius)
-    # Angles are within pi / 4, where these terms of the series are right to 4e-5; calls of sine and
-    # cosine take half of the time of pass L5.
-    squared = angle * angle
-    aside = radius * angle * (1 - squared / 6 * (1 - squared / 20))
-    along = radius * (1 - squared / 2 * (1 - squared / 12 * (1 - squared / 30)))
-    return jnp.where(wide, along, aside), jnp.where(wide, aside, along)
+    return within(point[0], turn[0]), within(point[1], turn[1])

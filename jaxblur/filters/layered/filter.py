@@ -24,7 +24,7 @@ from .._weights import SPEED_FLOOR, anything_moves, finite_depth
 from ..builtin import LAYERED_SLICE, check_layered
 from ..parameters import LayeredParameters
 from . import background, holes, views
-from .aperture import Aperture, maps_through_lens, on_disc, places_of, with_discs
+from .aperture import Aperture, maps_through_lens, points_of, with_discs
 from .clock import Clock, clock_of, scaled
 from .five_places import through_five_places
 from .neighbors import Neighbor, neighbor_of
@@ -137,14 +137,13 @@ def _blur_through_lens(
     frame, parameters, others = _in_units(frame, parameters, others, settings)
     (height, width), dtype = frame.depth.shape, frame.color.dtype
     assert others.lens is not None
-    aperture = _aperture(others.lens, frame)
+    aperture = _aperture(others.lens, frame, settings)
     noise = resolve_noise(noise, settings.noise, height, width)
     maps, coding = maps_through_lens(settings.samples), Coding.of(settings.radius)
     paths = with_discs(_paths(frame, parameters, settings, others), aperture, settings)
     clock = others.exposure if isinstance(others.exposure, Clock) else None
     times, span = (None, None) if clock is None else (clock.times(), clock.span)
-    places = places_of(maps, dtype)
-    points = Image(jnp.stack(on_disc((places[..., 0], places[..., 1])), axis=-1))
+    points = Image(points_of(maps, dtype))
     owners = Image(owners_of(paths, maps, settings, clock, points))
     color, paths = Image(frame.color), Image(paths)
     states = Image(states_of(owners, paths, maps, settings))
@@ -156,9 +155,7 @@ def _blur_through_lens(
         background.Plan(settings, maps, coding),
     )
     turns = Image(jnp.concatenate([noise.tap[..., None], noise.tile], axis=-1).astype(dtype))
-    images = views.Images(
-        *(color, paths, owners, states, Image(found), turns, Image(places), points, times)
-    )
+    images = views.Images(*(color, paths, owners, states, Image(found), turns, points, times))
     plan = Plan(settings, settings.samples, maps, coding)
     return each_pixel(
         *(views.view_pixel, (height, width), images, Inputs(parameters, span), plan),
@@ -176,11 +173,12 @@ def _paths(
     return paths_of(frame, parameters, settings)
 
 
-def _aperture(lens: Lens, frame: Frame) -> Aperture:
+def _aperture(lens: Lens, frame: Frame, settings: Settings) -> Aperture:
     """The lens in pixels."""
     lens = jax.tree.map(lambda value: jnp.asarray(value, frame.color.dtype), lens)
     width = frame.depth.shape[1]
-    return Aperture(jnp.asarray(lens.radius_at_infinity(width)), jnp.asarray(lens.focus))
+    infinity, focus = lens.radius_at_infinity(width), lens.focus
+    return Aperture.of(jnp.asarray(infinity), jnp.asarray(focus), settings.fetch)
 
 
 def _neighbors(
@@ -257,7 +255,7 @@ def _layered(
         frame = append_mask(frame).replace(valid=mask)
     parameters = jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
     if others.lens is not None:
-        discs = _aperture(others.lens, frame).disc(jnp.log(finite_depth(frame.depth)))
+        discs = _aperture(others.lens, frame, settings).disc(jnp.log(finite_depth(frame.depth)))
         spreads = jnp.any(jnp.abs(discs) > SPEED_FLOOR)
         usual, other = _blur_through_lens, functools.partial(_without_lens, settings)
         operands = (frame, parameters, noise, others, spreads)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Int
 
 from ...kernels import At, Image, Outcome, sum_over
 from .._sampling import find_texel, read_color
-from .aperture import on_disc, place_in_cell
+from .aperture import point_in_cell
 from .clock import Times, time_of_light, time_of_owners
 from .owners import RESTS, moving_owner, point_of
 from .paths import Path
@@ -31,8 +31,7 @@ class Images(NamedTuple):
         states: (H, W, 1), see `.owners.states_of`.
         background: (H, W, C + 1), see `.background.known_colors`.
         noise: (H, W, 3): of the time in [-1, 1), of the aperture in [-1/2, 1/2).
-        places: (1, T, 2), see `.aperture.places_of`.
-        points: (1, T, 2) the same on the unit disc.
+        points: (1, T, 2) of the unit disc, from which the maps are seen.
         clock: tables of the shutter; None for the nominal one.
     """
 
@@ -42,7 +41,6 @@ class Images(NamedTuple):
     states: Image
     background: Image
     noise: Image
-    places: Image
     points: Image
     clock: Times | None
 
@@ -69,14 +67,12 @@ def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         time, weight = time_of_light(light, at.row, images.clock, inputs.span)
         own_time = time_of_owners(index, plan.maps, tap, at.row, images.clock, inputs.span)
         own_point = point_of(images.points, index)
+        assert own_point is not None
         owner = moving_owner(
             *(at, images.owners, images.paths, index, own_time, plan.coding, own_point)
         )
         way = Path(*images.paths.read_texel(owner.texel))
-        across, down = images.places.read_texel(index)
-        point = on_disc(
-            place_in_cell((across, down), (turn[0], turn[1]), i, plan.maps, parameters.jitter)
-        )
+        point = point_in_cell(own_point, (turn[0], turn[1]), i, plan.maps, parameters.jitter)
         squared = own_time * own_time
         assert way.disc is not None
         offset_x = -time * way.x - squared * way.bend_x - way.disc * point[0]
