@@ -210,7 +210,7 @@ def test_frames_that_only_other_layers_have_are_told(tmp_path):
     for frame in (1, 2):
         write_single(tmp_path / f"hero.{frame:04d}.exr", front_at(frame))
     hero, street = tmp_path / "hero.####.exr", tmp_path / "street.####.exr"
-    given = ("layers", hero, street, street, "-o", tmp_path / "out.####.exr", "--dry-run")
+    given = ("layers", hero, street, "-o", tmp_path / "out.####.exr", "--dry-run")
     outcome = run(*given)
     assert outcome.status == 0 and "2 blur" in outcome.out
     words = f"{hero}: frames that it lacks are left out: 3-4,6, which {street} has."
