@@ -69,16 +69,8 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
         channels = list(known.channels) if known else _unnamed(arguments, pairs[0])
         if not channels:
             return
-        for pair in pairs:
-            ranking, left = _ranked(arguments, pair, channels, known)
-            if ranking is None or not ranking.is_explained:
-                continue
-            if is_given:
-                _compare(arguments, pair, known, ranking, left)
-                return
-            if not ranking.undecided:
-                _adopt(arguments, pair, known, ranking)
-                return
+        if any(_decides(arguments, pair, channels, known) for pair in pairs):
+            return
     except exr.JaxblurIOError as error:
         # The frame is reported again when it is its turn.
         LOG.debug("vectors: not compared with the next frame: %s", error)
@@ -90,6 +82,22 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
         "vectors: what they mean does not show between frames %d and %d; check it with: %s",
         *(*first.numbers, _check_of(arguments, first)),
     )
+
+
+def _decides(arguments: argparse.Namespace, pair: _Pair, channels: list[str], known: Any) -> bool:
+    """Whether frames tell what the vectors mean; what they tell is taken over, or said."""
+    ranking, left = _ranked(arguments, pair, channels, known)
+    if left is not None and left < 1 - SURELY:
+        # No other reading can explain twice as much.
+        return True
+    if ranking is None or not ranking.is_explained:
+        return False
+    if arguments.preset != "auto":
+        _compare(arguments, pair, known, ranking, left)
+        return True
+    if not ranking.undecided:
+        _adopt(arguments, pair, known, ranking)
+    return not ranking.undecided
 
 
 def _check_of(arguments: argparse.Namespace, pair: _Pair) -> str:
@@ -158,9 +166,11 @@ def _unnamed(arguments: argparse.Namespace, pair: _Pair) -> list[str]:
 def _ranked(
     arguments: argparse.Namespace, pair: _Pair, channels: list[str], known: Any
 ) -> tuple[Any, float | None]:
-    """Rank the readings of the vectors by one pair of frames; None if it cannot tell.
+    """Rank the readings of the vectors by one pair of frames.
 
-    The number is the `jaxblur.vectors.difference_left` by the convention that is given, if any.
+    Returns:
+        The ranking, None if the pair cannot tell, or if the convention that is given is as good as
+        right; and the `jaxblur.vectors.difference_left` by that convention, if there is one.
     """
     from jaxblur import exr, vectors
 
@@ -171,18 +181,24 @@ def _ranked(
     info = exr.inspect(pair.vectors)
     *_, width, height = info.parts[info.channel(channels[0]).part].display_window
     raw, size = exr.read_channels(pair.vectors, channels), (height, width)
+    left = None
+    if now.shape != following.shape:
+        LOG.debug("vectors: frames %d and %d have other sizes", *pair.numbers)
+        return None, None
     try:
+        if arguments.preset != "auto":
+            span = arguments.file_shutter
+            motion = _to_next(raw, known, size, arguments.max_displace, span)
+            left = vectors.difference_left(now, following, motion)
+            if left is not None and left < 1 - SURELY:
+                return None, left
         ranking = vectors.rank_conventions(
             *(now, following, raw, channels),
             shutter=_span(arguments, known, now, following, raw, size),
             size=size,
             max_displace=arguments.max_displace,
         )
-        if arguments.preset == "auto":
-            return ranking, None
-        span = arguments.file_shutter
-        motion = _to_next(raw, known, size, arguments.max_displace, span)
-        return ranking, vectors.difference_left(now, following, motion)
+        return ranking, left
     except ValueError as error:
         LOG.debug("vectors: frames %d and %d: %s", *pair.numbers, error)
         return None, None
@@ -205,7 +221,7 @@ def _span(
     from jaxblur import vectors
 
     given = arguments.file_shutter or arguments.shutter or 0.5
-    if not known or known.preset.span != "shutter" or now.shape != following.shape:
+    if not known or known.preset.span != "shutter":
         return given
     motion = _to_next(raw, known, size, arguments.max_displace, 1.0)
     measured = vectors.measure_span(now, following, motion)
