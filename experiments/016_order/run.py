@@ -2,8 +2,9 @@
 
     python -m experiments.016_order.run -o OUT [--quick | --scores scenes.csv]
 
-Writes order.csv and .md (means), gains.csv and .md (of one pass over the better order), scenes.csv
-and .md, times.csv and .md, and order.png. With ``--scores`` nothing is rendered: means and gains of
+Writes order.csv and .md (means), gains.csv and .md (of one pass over the better order), both of the
+scenes that chose between variants, and for the others order_others and gains_others; scenes.csv and
+.md, times.csv and .md, and order.png. With ``--scores`` nothing is rendered: means and gains of
 the scores that a former run has written.
 """
 
@@ -63,6 +64,13 @@ CASES = (
     Case("crossing", 0.5),
     Case("camera_dolly", 0.5),
 )
+"""Scenes on which ways to do both in one pass were compared."""
+
+OTHERS = tuple(
+    Case(scene, 0.35)
+    for scene in ("gears", "flagpole", "cubes_on_teapot", "rotation_stress", "cube_between_crates")
+)
+"""Scenes that chose nothing."""
 
 
 def lens_of(case: Case, scene: scenes.Scene, depth: np.ndarray) -> posts.Lens:
@@ -223,15 +231,19 @@ def main() -> None:
     if arguments.scores is not None:
         scores = read_scores(arguments.scores)
     else:
-        cases, samples = (CASES[:1], 64) if arguments.quick else (CASES, SAMPLES)
+        cases, samples = (CASES[:1], 64) if arguments.quick else (CASES + OTHERS, SAMPLES)
         scores = render(arguments.output, cases, samples)
         sizes = (SIZE,) if arguments.quick else (SIZE, LARGE)
         timed = milliseconds(sizes, REPEATS)
         columns = ("what", *(f"CPU ms, {width}x{height}" for height, width in sizes))
         write_table(arguments.output, "times", columns, timed)
-    write_table(arguments.output, "order", ("filter", "order", *MEASURES), means(scores))
     columns = ("scene", "better order", *(f"gain, {samples} samples" for samples in AT_ONCE))
-    write_table(arguments.output, "gains", columns, gains(scores))
+    for cases, end in ((CASES, ""), (OTHERS, "_others")):
+        names = [case.scene for case in cases]
+        if part := [score for score in scores if score.scene in names]:
+            order = means(part)
+            write_table(arguments.output, f"order{end}", ("filter", "order", *MEASURES), order)
+            write_table(arguments.output, f"gains{end}", columns, gains(part))
 
 
 if __name__ == "__main__":
