@@ -177,7 +177,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
 
     source = source or read(arguments)
     buffers = source.buffers
-    truth = shown_truth(arguments, buffers.color.shape)
+    truth = shown_truth(arguments, buffers.windows)
     velocity = buffers.velocity
     exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
@@ -196,13 +196,20 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         source.states,
         shutter=arguments.shutter,
         exposure=exposure,
-        lens=posts.lens_of(arguments) if posts.looks_through(arguments) else None,
+        lens=_lens_of(arguments, buffers),
         motion=source.motion,
         ranks=source.ranks,
         selects=source.selects,
         layers=source.layers,
         disparity=disparity_of(arguments, buffers.depth),
     )
+
+
+def _lens_of(arguments: argparse.Namespace, buffers: Any) -> Any:
+    """The lens through which a frame is blurred; None for a pinhole."""
+    if not posts.looks_through(arguments):
+        return None
+    return posts.lens_of(arguments, buffers.windows)
 
 
 def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
@@ -226,18 +233,54 @@ def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:
-    """How size or channels of another frame differ from those of a frame; empty if they agree."""
-    (height, width, channels), (rows, columns, others) = (
-        buffers.color.shape for buffers in (loaded.buffers, source.buffers)
+    """How picture or channels of another frame differ from those of a frame; empty if they agree.
+
+    Data windows may differ, see `placed`.
+    """
+    from jaxblur import exr
+
+    own, other = loaded.buffers, source.buffers
+    if own.windows.display != other.windows.display:
+        wanted, given = map(exr.window_words, (own.windows.display, other.windows.display))
+        return f"has a display window of {given}, but the frame has one of {wanted}"
+    wanted, given = own.color.shape[2], other.color.shape[2]
+    if wanted != given:
+        return f"has {given} color channels, but the frame has {wanted}"
+    if other.pass_channels != own.pass_channels:
+        return "has other color passes"
+    names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
+    return "" if names == others else "has other Cryptomattes"
+
+
+def are_apart(loaded: Loaded, source: Source) -> bool:
+    """Whether the data windows of two frames have no pixel in common."""
+    from jaxblur import exr
+
+    common = exr.overlap(loaded.buffers.windows.data, source.buffers.windows.data)
+    return 0 in common[2:]
+
+
+def placed(loaded: Loaded, source: Source, known: bool = False) -> Source:
+    """Another frame in the data window of a frame, see `jaxblur.exr.buffers_in`.
+
+    Args:
+        loaded: the frame.
+        source: the other one.
+        known: whether it is known to be transparent outside of its data window.
+    """
+    from jaxblur import exr
+
+    window, wanted = source.buffers.windows.data, loaded.buffers.windows.data
+    if window == wanted:
+        return source
+    layers = (
+        layer._replace(buffers=exr.buffers_in(layer.buffers, wanted, known))
+        for layer in source.layers
     )
-    if (height, width, channels) == (rows, columns, others):
-        if source.buffers.pass_channels != loaded.buffers.pass_channels:
-            return "has other color passes"
-        names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
-        return "" if names == others else "has other Cryptomattes"
-    return (
-        f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
-        f"{width}x{height} and {channels}"
+    return source._replace(
+        buffers=exr.buffers_in(source.buffers, wanted, known),
+        ranks=tuple(exr.ranks_in(ranks, window, wanted) for ranks in source.ranks),
+        layers=tuple(layers),
     )
 
 
@@ -264,44 +307,42 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
 
 
-def shown_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+def shown_truth(arguments: argparse.Namespace, windows: Any) -> Any:
     """Read the truth for scores, if the arguments name one.
 
     Args:
         arguments: of the command.
-        shape: of the picture of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
 
     Returns:
         (H, W, C) linear light that a screen shows, or None.
 
     Raises:
         JaxblurIOError: the file is missing, damaged or holds something else.
-        CommandError: it has another size than the frame, or one that has no scores.
+        CommandError: it does not hold all pixels of the frame, or these are too few for scores.
     """
     if arguments.truth is None:
         return None
     from jaxblur import metrics
 
-    height, width = shape[:2]
+    *_, width, height = windows.data
     if min(height, width) < (least := metrics.SSIM_WINDOW):
         raise CommandError(
             f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
             f"{least}x{least} or more (the window of SSIM); leave it out."
         )
-    stored, colors = read_truth(arguments, shape, arguments.view)
+    stored, colors = read_truth(arguments, windows, arguments.view)
     if not colors.is_identity:
         LOG.info("colors of the truth: %s", colors.words)
     return colors.light(stored)
 
 
-def read_truth(
-    arguments: argparse.Namespace, shape: tuple[int, ...], view: str | None
-) -> tuple[Any, Any]:
-    """Read the truth that the arguments name.
+def read_truth(arguments: argparse.Namespace, windows: Any, view: str | None) -> tuple[Any, Any]:
+    """Read the truth that the arguments name, for the pixels of the frame.
 
     Args:
         arguments: of the command.
-        shape: of the picture of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
         view: OpenColorIO view that it is to be shown in, or None.
 
     Returns:
@@ -309,7 +350,7 @@ def read_truth(
 
     Raises:
         JaxblurIOError: the file is missing, damaged or holds something else.
-        CommandError: it has another size than the frame.
+        CommandError: it does not hold all pixels of the frame.
     """
     from jaxblur import exr
 
@@ -319,10 +360,39 @@ def read_truth(
         layer = eye
     channel = exr.choose_color(info, layer).channels[0]
     truth = exr.read_image(arguments.truth, layer)
-    if truth.shape[:2] != shape[:2]:
-        (rows, columns), (height, width) = truth.shape[:2], shape[:2]
+    truth = in_window(arguments.truth, truth, channel, arguments.input, windows)
+    if truth is None:
+        own, wanted = exr.windows_of(info, channel).data, windows.data
         raise CommandError(
-            f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
-            f"{width}x{height}; render both with the same data window."
+            f"{arguments.truth}: the truth has the pixels {exr.window_words(own)}, but "
+            f"{arguments.input} has {exr.window_words(wanted)}; render both with the same data "
+            "window."
         )
     return truth, exr.conversion_of(info, channel, arguments.color_space, view)
+
+
+def in_window(
+    path: pathlib.Path, image: Any, channel: str, frame: pathlib.Path, windows: Any
+) -> Any:
+    """The part of an image that is in the data window of a frame; None if it does not hold that.
+
+    Only EXR files tell where their pixels are; of others the size must be that of the frame.
+
+    Args:
+        path: of the image.
+        image: (H, W, ...) its pixels.
+        channel: one that it was read from.
+        frame: file of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
+    """
+    from jaxblur import exr
+
+    wanted, picture = windows
+    if {path.suffix.lower(), frame.suffix.lower()} != {".exr"}:
+        return image if image.shape[1::-1] == wanted[2:] else None
+    own, display = exr.windows_of(exr.inspect(path), channel)
+    if own == wanted:
+        return image
+    if display != picture or exr.overlap(own, wanted) != wanted:
+        return None
+    return exr.put_into(image, own, wanted)

@@ -36,37 +36,53 @@ class Scale(NamedTuple):
     text: str
 
 
-def select(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
+def select(
+    source: pathlib.Path, scale: Scale, frame: pathlib.Path, windows: Any
+) -> tuple[Any, bool]:
     """What one ``--scale-motion`` does to a frame.
 
     Args:
-        source: file with the mattes.
+        source: file with the mattes; outside of their data window nothing is selected.
         scale: the option.
+        frame: file of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
 
     Returns:
         A factor, or (H, W) one for each pixel; and whether it is for any pixel. If not, a warning
         says what there is.
 
     Raises:
-        CommandError: there is no such channel, or it holds NaN or infinity.
+        CommandError: there is no such channel, it holds NaN or infinity, or it is of another
+            picture.
         JaxblurIOError: there is no such Cryptomatte, or no such name in it.
     """
+    if not scale.kind:
+        return scale.factor, True
+    from jaxblur import exr
+
+    info = exr.inspect(source)
+    if scale.kind != "crypto" and scale.name not in info.channel_names:
+        names = ", ".join(info.channel_names)
+        raise CommandError(
+            f"--scale-motion {scale.text}: {source} has no channel "
+            f"{scale.name}{nearest(scale.name, info.channel_names)}; it holds {names}."
+        )
+    factors, selects = _factors(source, scale)
+    channel = scale.name
+    if scale.kind == "crypto":
+        channel = exr.cryptomatte_layers(source)[0].channels[0]
+    return _placed(factors, scale, info, channel, frame, windows), selects
+
+
+def _factors(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
+    """A factor for each pixel of the file with the mattes, and whether it is for any pixel."""
     import numpy as np
 
     from jaxblur import exr
 
-    if not scale.kind:
-        return scale.factor, True
     if scale.kind == "crypto":
         share = exr.read_cryptomatte(source, scale.name)
     else:
-        info = exr.inspect(source)
-        if scale.name not in info.channel_names:
-            names = ", ".join(info.channel_names)
-            raise CommandError(
-                f"--scale-motion {scale.text}: {source} has no channel "
-                f"{scale.name}{nearest(scale.name, info.channel_names)}; it holds {names}."
-            )
         share = exr.read_values(source, scale.name)
     if not np.isfinite(share).all():
         raise CommandError(f"--scale-motion {scale.text}: NaN or infinity in {source}; repair it.")
@@ -88,17 +104,40 @@ def select(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
     return 1 + share * np.float32((scale.factor or 0.0) - 1), selects
 
 
+def _placed(
+    factors: Any, scale: Scale, info: Any, channel: str, frame: pathlib.Path, windows: Any
+) -> Any:
+    """Factors in the data window of a frame, 1 where the file has no pixels.
+
+    Raises:
+        CommandError: the file is of another picture.
+    """
+    from jaxblur import exr
+
+    own = exr.windows_of(info, channel)
+    tells = {pathlib.Path(info.path).suffix.lower(), frame.suffix.lower()} == {".exr"}
+    if own.data == windows.data or (not tells and own.data[2:] == windows.data[2:]):
+        return factors
+    if not tells or own.display != windows.display:
+        raise CommandError(
+            f"--scale-motion {scale.text}: {info.path} has the pixels {_in_full(own)}, but {frame} "
+            f"has {_in_full(windows)}; render both alike."
+        )
+    return exr.put_into(factors, own.data, windows.data, 1)
+
+
+def _in_full(windows: Any) -> str:
+    from jaxblur import exr
+
+    data, display = map(exr.window_words, windows)
+    return data if windows.data == windows.display else f"{data} of a display window {display}"
+
+
 def _in_words(names: list[str]) -> str:
     if not names:
         return "nothing"
     more = len(names) - LISTED
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
-
-
-def size_of(values: Any) -> str:
-    """Width and height of an image, as files give them."""
-    height, width = values.shape
-    return f"{width}x{height}"
 
 
 def parse_scale(text: str) -> Scale:

@@ -26,6 +26,7 @@ from .choose import (
 from .convert import DEPTH_KINDS, as_light, depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
 from .passes import Passes, choose_passes, sharp_layers
+from .windows import Windows, window_words, windows_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -46,8 +47,9 @@ class Buffers:
         depth_channel: full name, or None where depth is flat.
         depth_kind: the kind that depth was read as.
         guess: convention and channels of the vectors, and the reason for them.
-        valid: (H, W) False where the color is NaN or infinite and is left out, or None if all
-            pixels are used.
+        windows: data window of these pixels, and the display window of the picture.
+        valid: (H, W) False where the color is NaN or infinite, or outside what the file holds, and
+            is left out, or None if all pixels are used.
         ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
         pass_channels: full names of the channels of further color passes.
         pass_colors: (H, W, K) their values, or None.
@@ -66,6 +68,7 @@ class Buffers:
     depth_channel: str | None
     depth_kind: str
     guess: vectors.Guess
+    windows: Windows
     valid: Bool[np.ndarray, "height width"] | None = None
     ignored: Ignored = NONE_IGNORED
     pass_channels: tuple[str, ...] = ()
@@ -241,6 +244,7 @@ def read_buffers(
         distance = to_distance(stored, kind, depth_info.path, channel)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
+        windows_of(info, group.channels[0]),
         valid=~unknown if unknown.any() else None,
         ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),
         pass_channels=passes,
@@ -330,16 +334,11 @@ def _warn_borrowed(info: FileInfo, layer: str | None, what: str, names: Sequence
 def _check_window(
     data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
 ) -> None:
-    window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
+    window = windows_of(data, names[0]).data
+    wanted = windows_of(picture, group.channels[0]).data
     if window != wanted:
         raise JaxblurIOError(
             data.path,
-            f"{', '.join(names)}: pixels {window}, but the color of {picture.path} has {wanted}; "
-            "render them with the same data window.",
+            f"{', '.join(names)}: pixels {window_words(window)}, but the color of {picture.path} "
+            f"has {window_words(wanted)}; render them with the same data window.",
         )
-
-
-def _window(info: FileInfo, channel: str) -> str:
-    """Format a data window, such as ``6x4 at (-1, 0)``."""
-    x, y, width, height = info.parts[info.channel(channel).part].data_window
-    return f"{width}x{height} at ({x}, {y})"

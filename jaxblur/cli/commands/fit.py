@@ -32,6 +32,7 @@ from ..filtering import (
     describe_filters,
     find_filter,
 )
+from ..loading import in_window
 from ..progress import stages
 from ..sources import add_source_options, add_vector_options
 
@@ -351,11 +352,14 @@ def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path])
     frame, truth = named["input"], named["truth"]
     LOG.info("%s: truth %s", frame, truth)
     buffers = sources.read(argparse.Namespace(**vars(arguments) | dict(named)))
-    image = exr.read_image(truth)
-    if image.shape[:2] != buffers.color.shape[:2]:
+    image, info = exr.read_image(truth), exr.inspect(truth)
+    channel = exr.choose_color(info).channels[0]
+    image = in_window(truth, image, channel, frame, buffers.windows)
+    if image is None:
+        own = exr.windows_of(info, channel).data
         raise CommandError(
-            f"{truth}: the truth has {_size(image)} pixels, but {frame} has "
-            f"{_size(buffers.color)}; render both with the same data window."
+            f"{truth}: the truth has the pixels {exr.window_words(own)}, but {frame} has "
+            f"{exr.window_words(buffers.windows.data)}; render both with the same data window."
         )
     return _cropped(arguments.crop, frame, buffers, image)
 
@@ -371,10 +375,6 @@ def _cropped(
     names = ("color", "depth", "velocity", "path")
     cut = {name: whole[part] for name in names if (whole := getattr(buffers, name)) is not None}
     return dataclasses.replace(buffers, **cut), truth[part]
-
-
-def _size(image: Any) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def _with_radius(settings: Any, arguments: argparse.Namespace, pairs: Sequence[Any]) -> Any:

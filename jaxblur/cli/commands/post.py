@@ -24,7 +24,7 @@ from ..colors import add_color_options, check_colors, shown_colors
 from ..compute import start_jax
 from ..console import print_line, print_table, track
 from ..errors import FAILED, is_foreseeable, message_of
-from ..loading import shown_truth
+from ..loading import in_window, shown_truth
 from ..outputs import add_output_option, check_output, files_of
 from ..progress import remarks_once
 from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
@@ -223,6 +223,7 @@ class _View(NamedTuple):
         arguments: of the command for this view; see `views.each`.
         color: (H, W, C) values of the file.
         channels: full names of the color channels.
+        windows: `jaxblur.exr.Windows` of the color.
         colors: a `jaxblur.exr.Conversion` of the color to light that a screen shows.
         truth: (H, W, C) such light, or None.
     """
@@ -230,6 +231,7 @@ class _View(NamedTuple):
     arguments: argparse.Namespace
     color: Any
     channels: tuple[str, ...]
+    windows: Any
     colors: Any
     truth: Any
 
@@ -251,7 +253,8 @@ def _read(arguments: argparse.Namespace) -> _View:
     ).channels
     color = exr.read_image(source, arguments.layer, arguments.color_channels)
     colors = shown_colors(arguments, source, channels[0])
-    return _View(arguments, color, channels, colors, shown_truth(arguments, color.shape))
+    windows = exr.windows_of(exr.inspect(source), channels[0])
+    return _View(arguments, color, channels, windows, colors, shown_truth(arguments, windows))
 
 
 class _Made(NamedTuple):
@@ -330,16 +333,16 @@ def _through_posts(picture: _View, depth: pathlib.Path) -> Any:
     arguments, color = picture.arguments, picture.color
     distance = None
     if posts.needs_depth(arguments):
-        distance = exr.read_depth(
-            depth,
-            arguments.depth or "z",
-            layer=arguments.layer,
-            depth_channel=arguments.depth_channel,
-        )
-        if distance.shape != color.shape[:2]:
-            (rows, columns), (height, width) = distance.shape, color.shape[:2]
+        where = {"layer": arguments.layer, "depth_channel": arguments.depth_channel}
+        distance = exr.read_depth(depth, arguments.depth or "z", **where)
+        info = exr.inspect(depth)
+        channel = exr.choose_depth(info, **where, needed=True)
+        own = exr.windows_of(info, channel).data
+        distance = in_window(depth, distance, channel, arguments.input, picture.windows)
+        if distance is None:
             raise CommandError(
-                f"{depth}: the depth has {columns}x{rows} pixels, but {arguments.input} has "
-                f"{width}x{height}; render both with the same data window."
+                f"{depth}: the depth has the pixels {exr.window_words(own)}, but "
+                f"{arguments.input} has {exr.window_words(picture.windows.data)}; render both with "
+                "the same data window."
             )
-    return posts.apply(arguments, color, distance, color.shape[2])
+    return posts.apply(arguments, color, distance, color.shape[2], picture.windows)

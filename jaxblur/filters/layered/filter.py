@@ -27,7 +27,7 @@ from . import background, holes, views
 from .aperture import Aperture, maps_through_lens, on_disc, places_of, with_discs
 from .clock import Clock, clock_of, scaled
 from .five_places import through_five_places
-from .neighbors import Neighbor, neighbor_of
+from .neighbors import Neighbor, neighbor_of, without_masked
 from .owners import Coding, maps_of, owners_of, states_of
 from .paths import paths_of
 from .slices import Images, Inputs, Plan, blur_pixel
@@ -298,7 +298,8 @@ def layered(
             to a guess, one guess at a time, the others at their nearest texel.
         noise: replaces the built-in noise; only ``tap`` is used without a lens.
         before: the frame before, sharp, of the same size and channels, with the motion of an
-            exposure as long as that of ``frame``. It shows some of what ``frame`` hides.
+            exposure as long as that of ``frame``. It shows some of what ``frame`` hides; its masked
+            pixels show nothing.
         after: likewise the frame after.
         shutter: length of the exposure in frames, by which neighbors are related to it. Not used
             without them.
@@ -369,7 +370,7 @@ def layered_with_hidden(
 
 
 def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
-    """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame.
+    """A neighbor without a mask, of the size, channels and dtype of the frame.
 
     Args:
         neighbor: it.
@@ -377,7 +378,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
         frame: checked.
 
     Returns:
-        The neighbor.
+        The neighbor, see `without_masked`.
 
     Raises:
         ValueError: it is no frame, shapes or dtypes disagree, or depth or motion is NaN.
@@ -398,7 +399,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
             f"`{name}` must have the dtype of `frame`, {frame.color.dtype}, got "
             f"{checked.color.dtype}; convert all buffers to one."
         )
-    return checked
+    return without_masked(checked)
 
 
 def frames_of(shutter: ArrayLike) -> jax.Array:
@@ -445,7 +446,7 @@ def _checked(
     others: Others,
     settings: Settings,
 ) -> jax.Array:
-    """Check what jit does not see, and give all frames a mask if one has one."""
+    """Check what jit does not see; beside a frame with a mask, neighbors get its channel."""
     settings = checked_settings(settings, Settings, "layered")
     check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
@@ -454,12 +455,8 @@ def _checked(
         frame = check_frame(frame)
         check_frames(others.shutter)
         given = {name: checked_neighbor(given[name], name, frame) for name in given}
-    if any(f.valid is not None for f in given.values()) or (given and frame.valid is not None):
+    if frame.valid is not None:
         everything = jnp.ones(frame.depth.shape, bool)
-
-        def masked(frame: Frame) -> Frame:
-            return frame if frame.valid is not None else frame.replace(valid=everything)
-
-        frame, given = masked(frame), {k: append_mask(masked(f)) for k, f in given.items()}
+        given = {name: append_mask(one.replace(valid=everything)) for name, one in given.items()}
     others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)

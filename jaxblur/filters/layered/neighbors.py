@@ -32,6 +32,8 @@ _UNKNOWN_LIGHT = 0.7
 """What counts where there are fewer."""
 _DARK = 1e-3
 """Root of the light that counts as none."""
+_AWAY = 1e5
+"""Pixels that lead out of every picture."""
 
 
 class Neighbor(NamedTuple):
@@ -163,6 +165,34 @@ def neighbor_of(
     motion = each_pixel(motion_of_pixel, (height, width), vectors, inputs, None, backend=backend)
     light = light_of(blurred, frame, frames, half, backend)
     return Neighbor(Image(frame.color), Image(motion), Image(light))
+
+
+def without_masked(frame: Frame) -> Frame:
+    """A neighbor of which the masked pixels are found nowhere, since they move far away.
+
+    A mask as one more channel would not do: unknown pixels would hide what the other neighbor
+    shows, and would count as another light.
+
+    Args:
+        frame: the neighbor, checked.
+
+    Returns:
+        It, without a mask.
+    """
+    if frame.valid is None:
+        return frame
+    known = jnp.asarray(frame.valid) != 0
+    path = frame.path
+    if path is not None:
+        away = jnp.asarray([[-_AWAY], [_AWAY]], path.dtype)
+        path = jnp.where(known[..., None, None], path, away)
+    return frame.replace(
+        color=jnp.where(known[..., None], frame.color, 0),
+        depth=jnp.where(known, frame.depth, jnp.inf),
+        velocity=jnp.where(known[..., None], frame.velocity, _AWAY),
+        path=path,
+        valid=None,
+    )
 
 
 def vectors_of(frame: Frame) -> Vectors:

@@ -1,0 +1,138 @@
+"""Data windows: what one file stores, put into the data window of another one.
+
+A window is ``(x, y, width, height)`` in pixels of the display window, as `jaxblur.exr.Part` has it.
+Renders that are cropped to what they show have another one in every frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .listing import FileInfo
+    from .ranks import Ranks
+    from .read import Buffers
+
+Window = tuple[int, int, int, int]
+
+
+class Windows(NamedTuple):
+    """The windows of a picture.
+
+    Attributes:
+        data: of the pixels that its file holds.
+        display: of the full picture.
+    """
+
+    data: Window
+    display: Window
+
+
+def window_words(window: Window) -> str:
+    """Format a window, such as ``6x4 at (-1, 0)``."""
+    x, y, width, height = window
+    return f"{width}x{height} at ({x}, {y})"
+
+
+def windows_of(info: FileInfo, channel: str) -> Windows:
+    """The windows of a channel.
+
+    Args:
+        info: listing of a file.
+        channel: full name.
+    """
+    part = info.parts[info.channel(channel).part]
+    return Windows(part.data_window, part.display_window)
+
+
+def overlap(first: Window, second: Window) -> Window:
+    """The pixels that two windows have in common; width or height is 0 if there are none."""
+    left, top = max(first[0], second[0]), max(first[1], second[1])
+    right = min(first[0] + first[2], second[0] + second[2])
+    bottom = min(first[1] + first[3], second[1] + second[3])
+    return left, top, max(right - left, 0), max(bottom - top, 0)
+
+
+def union(first: Window, second: Window) -> Window:
+    """The smallest window that holds two."""
+    left, top = min(first[0], second[0]), min(first[1], second[1])
+    right = max(first[0] + first[2], second[0] + second[2])
+    bottom = max(first[1] + first[3], second[1] + second[3])
+    return left, top, right - left, bottom - top
+
+
+def put_into(image: np.ndarray, window: Window, wanted: Window, outside: float = 0) -> np.ndarray:
+    """Put an image into another data window.
+
+    Args:
+        image: (H, W, ...) pixels of a data window.
+        window: it.
+        wanted: the other one.
+        outside: value of pixels that the image does not hold.
+
+    Returns:
+        (height, width, ...) pixels of the other one.
+    """
+    x, y, width, height = overlap(window, wanted)
+    placed = np.full((wanted[3], wanted[2], *image.shape[2:]), outside, image.dtype)
+    if width and height:
+        rows, columns = y - window[1], x - window[0]
+        part = image[rows : rows + height, columns : columns + width]
+        rows, columns = y - wanted[1], x - wanted[0]
+        placed[rows : rows + height, columns : columns + width] = part
+    return placed
+
+
+def buffers_in(buffers: Buffers, wanted: Window, known: bool = False) -> Buffers:
+    """Put a frame into another data window.
+
+    Args:
+        buffers: the frame.
+        wanted: the other data window.
+        known: whether pixels that it does not hold are known to be transparent.
+
+    Returns:
+        The frame there, without ``decoded``; the same buffers if the windows are the same. Pixels
+        that it does not hold are 0, at rest and sky, and masked in ``valid`` unless they are known.
+    """
+    window = buffers.windows.data
+    if window == wanted:
+        return buffers
+    placed = {
+        name: None if image is None else put_into(image, window, wanted)
+        for name in ("color", "velocity", "path", "pass_colors", "guide")
+        for image in [getattr(buffers, name)]
+    }
+    held = np.ones(buffers.depth.shape, bool) if buffers.valid is None else buffers.valid
+    valid = put_into(held, window, wanted, known)
+    return dataclasses.replace(
+        buffers,
+        **placed,
+        depth=put_into(buffers.depth, window, wanted, np.inf),
+        valid=None if valid.all() else valid,
+        windows=buffers.windows._replace(data=wanted),
+        decoded=None,
+    )
+
+
+def ranks_in(ranks: Ranks, window: Window, wanted: Window) -> Ranks:
+    """Put the coverages of a Cryptomatte layer into another data window.
+
+    Args:
+        ranks: them.
+        window: their data window.
+        wanted: the other one, outside of which nothing is kept.
+    """
+    rows, columns = np.divmod(ranks.pixels, window[2])
+    rows, columns = rows + (window[1] - wanted[1]), columns + (window[0] - wanted[0])
+    kept = (rows >= 0) & (rows < wanted[3]) & (columns >= 0) & (columns < wanted[2])
+    pixels = (rows * wanted[2] + columns)[kept].astype(ranks.pixels.dtype)
+    return ranks._replace(
+        size=(wanted[3], wanted[2]),
+        pixels=pixels,
+        identifiers=ranks.identifiers[kept],
+        coverages=ranks.coverages[kept],
+    )
