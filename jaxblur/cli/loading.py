@@ -14,6 +14,7 @@ from .arguments import CommandError
 from .colors import shown_colors
 from .disparity import disparity_of
 from .shutter import Exposure
+from .windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -196,20 +197,13 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         source.states,
         shutter=arguments.shutter,
         exposure=exposure,
-        lens=_lens_of(arguments, buffers),
+        lens=posts.lens_of(arguments, buffers.windows) if posts.looks_through(arguments) else None,
         motion=source.motion,
         ranks=source.ranks,
         selects=source.selects,
         layers=source.layers,
         disparity=disparity_of(arguments, buffers.depth),
     )
-
-
-def _lens_of(arguments: argparse.Namespace, buffers: Any) -> Any:
-    """The lens through which a frame is blurred; None for a pinhole."""
-    if not posts.looks_through(arguments):
-        return None
-    return posts.lens_of(arguments, buffers.windows)
 
 
 def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
@@ -240,8 +234,9 @@ def mismatch(loaded: Loaded, source: Source) -> str:
     from jaxblur import exr
 
     own, other = loaded.buffers, source.buffers
-    if own.windows.display != other.windows.display:
-        wanted, given = map(exr.window_words, (own.windows.display, other.windows.display))
+    windows = own.windows, other.windows
+    if windows[0].data != windows[1].data and windows[0].display != windows[1].display:
+        wanted, given = (exr.window_words(each.display) for each in windows)
         return f"has a display window of {given}, but the frame has one of {wanted}"
     wanted, given = own.color.shape[2], other.color.shape[2]
     if wanted != given:
@@ -252,35 +247,19 @@ def mismatch(loaded: Loaded, source: Source) -> str:
     return "" if names == others else "has other Cryptomattes"
 
 
-def are_apart(loaded: Loaded, source: Source) -> bool:
-    """Whether the data windows of two frames have no pixel in common."""
-    from jaxblur import exr
-
-    common = exr.overlap(loaded.buffers.windows.data, source.buffers.windows.data)
-    return 0 in common[2:]
-
-
-def placed(loaded: Loaded, source: Source, known: bool = False) -> Source:
-    """Another frame in the data window of a frame, see `jaxblur.exr.buffers_in`.
-
-    Args:
-        loaded: the frame.
-        source: the other one.
-        known: whether it is known to be transparent outside of its data window.
-    """
+def placed(loaded: Loaded, source: Source) -> Source:
+    """Another frame in the data window of a frame, see `jaxblur.exr.buffers_in`."""
     from jaxblur import exr
 
     window, wanted = source.buffers.windows.data, loaded.buffers.windows.data
     if window == wanted:
         return source
-    layers = (
-        layer._replace(buffers=exr.buffers_in(layer.buffers, wanted, known))
-        for layer in source.layers
-    )
     return source._replace(
-        buffers=exr.buffers_in(source.buffers, wanted, known),
+        buffers=exr.buffers_in(source.buffers, wanted),
         ranks=tuple(exr.ranks_in(ranks, window, wanted) for ranks in source.ranks),
-        layers=tuple(layers),
+        layers=tuple(
+            layer._replace(buffers=exr.buffers_in(layer.buffers, wanted)) for layer in source.layers
+        ),
     )
 
 
@@ -359,40 +338,9 @@ def read_truth(arguments: argparse.Namespace, windows: Any, view: str | None) ->
         # A view is compared with the truth for the same eye.
         layer = eye
     channel = exr.choose_color(info, layer).channels[0]
-    truth = exr.read_image(arguments.truth, layer)
-    truth = in_window(arguments.truth, truth, channel, arguments.input, windows)
-    if truth is None:
-        own, wanted = exr.windows_of(info, channel).data, windows.data
-        raise CommandError(
-            f"{arguments.truth}: the truth has the pixels {exr.window_words(own)}, but "
-            f"{arguments.input} has {exr.window_words(wanted)}; render both with the same data "
-            "window."
-        )
+    truth = in_window(
+        exr.read_image(arguments.truth, layer),
+        *(arguments.truth, channel, arguments.input, windows),
+        what="the truth",
+    )
     return truth, exr.conversion_of(info, channel, arguments.color_space, view)
-
-
-def in_window(
-    path: pathlib.Path, image: Any, channel: str, frame: pathlib.Path, windows: Any
-) -> Any:
-    """The part of an image that is in the data window of a frame; None if it does not hold that.
-
-    Only EXR files tell where their pixels are; of others the size must be that of the frame.
-
-    Args:
-        path: of the image.
-        image: (H, W, ...) its pixels.
-        channel: one that it was read from.
-        frame: file of the frame.
-        windows: `jaxblur.exr.Windows` of the frame.
-    """
-    from jaxblur import exr
-
-    wanted, picture = windows
-    if {path.suffix.lower(), frame.suffix.lower()} != {".exr"}:
-        return image if image.shape[1::-1] == wanted[2:] else None
-    own, display = exr.windows_of(exr.inspect(path), channel)
-    if own == wanted:
-        return image
-    if display != picture or exr.overlap(own, wanted) != wanted:
-        return None
-    return exr.put_into(image, own, wanted)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from jaxblur._util.text import nearest
 
 from .arguments import CommandError, from_zero
+from .windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -71,7 +72,8 @@ def select(
     channel = scale.name
     if scale.kind == "crypto":
         channel = exr.cryptomatte_layers(source)[0].channels[0]
-    return _placed(factors, scale, info, channel, frame, windows), selects
+    what = f"the matte of --scale-motion {scale.text}"
+    return in_window(factors, source, channel, frame, windows, what=what, outside=1), selects
 
 
 def _factors(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
@@ -102,35 +104,6 @@ def _factors(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
         LOG.warning("%s: no pixel has %s; %s.", source, scale.text.rpartition("=")[0], there)
     # Parsing gives every other kind a factor.
     return 1 + share * np.float32((scale.factor or 0.0) - 1), selects
-
-
-def _placed(
-    factors: Any, scale: Scale, info: Any, channel: str, frame: pathlib.Path, windows: Any
-) -> Any:
-    """Factors in the data window of a frame, 1 where the file has no pixels.
-
-    Raises:
-        CommandError: the file is of another picture.
-    """
-    from jaxblur import exr
-
-    own = exr.windows_of(info, channel)
-    tells = {pathlib.Path(info.path).suffix.lower(), frame.suffix.lower()} == {".exr"}
-    if own.data == windows.data or (not tells and own.data[2:] == windows.data[2:]):
-        return factors
-    if not tells or own.display != windows.display:
-        raise CommandError(
-            f"--scale-motion {scale.text}: {info.path} has the pixels {_in_full(own)}, but {frame} "
-            f"has {_in_full(windows)}; render both alike."
-        )
-    return exr.put_into(factors, own.data, windows.data, 1)
-
-
-def _in_full(windows: Any) -> str:
-    from jaxblur import exr
-
-    data, display = map(exr.window_words, windows)
-    return data if windows.data == windows.display else f"{data} of a display window {display}"
 
 
 def _in_words(names: list[str]) -> str:

@@ -15,7 +15,7 @@ from .choice import Choice, choose
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import report_ignored, require_neighbors, takes_neighbors
-from .loading import Loaded, Source, are_apart, load, mismatch, placed, read, tell_rest
+from .loading import Loaded, Source, load, mismatch, placed, read, tell_rest
 from .progress import remarks_once
 from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
@@ -210,11 +210,6 @@ def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:
     for side, source in neighbors.items():
         if differs := mismatch(loaded, source):
             raise CommandError(f"--{side}: {source.path} {differs}; render both alike.")
-        if are_apart(loaded, source):
-            raise CommandError(
-                f"--{side}: the data windows of {source.path} and {arguments.input} have no pixel "
-                "in common; leave it out."
-            )
         _warn_of_other(arguments, side, loaded, source)
         neighbors[side] = placed(loaded, source)
     return loaded.with_neighbors(neighbors)
@@ -260,7 +255,7 @@ def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded
         if differs := mismatch(loaded, source):
             raise CommandError(f"--subframes: {source.path} {differs}; render all alike.")
         _check_outside(loaded, source)
-    sources = [placed(loaded, source, known=True) for source in sources]
+    sources = [placed(loaded, source) for source in sources]
     frames = []
     for index, (part, source) in enumerate(zip(parts, sources, strict=True)):
         near = {
@@ -278,13 +273,14 @@ def _check_outside(loaded: Loaded, source: Source) -> None:
     """Reject a sub-frame of which nothing is known in a part of the frame's data window."""
     from jaxblur import exr
 
-    own, wanted = source.buffers.windows.data, loaded.buffers.windows.data
-    names = [name.rpartition(".")[2].upper() for name in source.buffers.color_channels]
-    if exr.overlap(own, wanted) != wanted and not {"A", "ALPHA"} & {*names}:
+    wanted = loaded.buffers.windows.data
+    unmasked = dataclasses.replace(source.buffers, valid=None)
+    if not exr.known_in(unmasked, wanted).all():
+        own = source.buffers.windows.data
         raise CommandError(
             f"--subframes: {source.path} has the pixels {exr.window_words(own)}, but the frame has "
-            f"{exr.window_words(wanted)}; without alpha nothing is known of the others: render all "
-            "with the same data window."
+            f"{exr.window_words(wanted)}, and nothing is known of the others; render all with the "
+            "same data window."
         )
 
 

@@ -96,10 +96,11 @@ from .survey import count_not_finite as count_not_finite, measure_speeds as meas
 from .windows import (
     Windows as Windows,
     buffers_in as buffers_in,
+    common_window as common_window,
+    known_in as known_in,
     overlap as overlap,
     put_into as put_into,
     ranks_in as ranks_in,
-    union as union,
     window_words as window_words,
     windows_of as windows_of,
 )

@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .choose import component_of
+
 if TYPE_CHECKING:
+    from jaxtyping import Bool
+    from numpy.typing import ArrayLike
+
     from .listing import FileInfo
     from .ranks import Ranks
     from .read import Buffers
@@ -64,14 +69,16 @@ def union(first: Window, second: Window) -> Window:
     return left, top, right - left, bottom - top
 
 
-def put_into(image: np.ndarray, window: Window, wanted: Window, outside: float = 0) -> np.ndarray:
+def put_into(
+    image: np.ndarray, window: Window, wanted: Window, outside: ArrayLike = 0
+) -> np.ndarray:
     """Put an image into another data window.
 
     Args:
         image: (H, W, ...) pixels of a data window.
         window: it.
         wanted: the other one.
-        outside: value of pixels that the image does not hold.
+        outside: values of pixels that the image does not hold.
 
     Returns:
         (height, width, ...) pixels of the other one.
@@ -86,17 +93,66 @@ def put_into(image: np.ndarray, window: Window, wanted: Window, outside: float =
     return placed
 
 
-def buffers_in(buffers: Buffers, wanted: Window, known: bool = False) -> Buffers:
+def is_element(buffers: Buffers) -> bool:
+    """Whether a frame is an element, so that pixels which it does not hold are transparent.
+
+    Renderers and compositing cut away what is transparent. A frame without alpha, or with an alpha
+    of 1 everywhere, may be a region of a larger picture.
+    """
+    names = buffers.color_channels
+    alpha = next((k for k, name in enumerate(names) if component_of(name) == "A"), None)
+    return alpha is not None and bool((buffers.color[..., alpha] < 1).any())
+
+
+def known_in(buffers: Buffers, wanted: Window) -> Bool[np.ndarray, "height width"]:
+    """Which pixels of a data window a frame knows.
+
+    Args:
+        buffers: the frame.
+        wanted: the data window.
+
+    Returns:
+        (H, W) True for pixels that it holds and does not mask, and for those of the display window
+        that it does not hold if it is an element.
+    """
+    window, display = buffers.windows
+    held = np.ones(buffers.depth.shape, bool) if buffers.valid is None else buffers.valid
+    outside: ArrayLike = False
+    if is_element(buffers):
+        outside = put_into(np.ones((display[3], display[2]), bool), display, wanted)
+    return put_into(held, window, wanted, outside)
+
+
+def common_window(first: Buffers, second: Buffers) -> Window:
+    """A data window of which two frames know everything but what they mask.
+
+    Args:
+        first: a frame.
+        second: one of the same display window.
+
+    Returns:
+        Theirs, if it is the same; what both hold; or if both are elements what either holds of the
+        display window. Width or height is 0 if there is nothing.
+    """
+    here, there = first.windows.data, second.windows.data
+    if here == there:
+        return here
+    if is_element(first) and is_element(second):
+        return overlap(union(here, there), first.windows.display)
+    return overlap(here, there)
+
+
+def buffers_in(buffers: Buffers, wanted: Window) -> Buffers:
     """Put a frame into another data window.
 
     Args:
         buffers: the frame.
         wanted: the other data window.
-        known: whether pixels that it does not hold are known to be transparent.
 
     Returns:
         The frame there, without ``decoded``; the same buffers if the windows are the same. Pixels
-        that it does not hold are 0, at rest and sky, and masked in ``valid`` unless they are known.
+        that it does not hold are 0, at rest and sky, and those that it does not know are masked,
+        see `known_in`.
     """
     window = buffers.windows.data
     if window == wanted:
@@ -106,13 +162,12 @@ def buffers_in(buffers: Buffers, wanted: Window, known: bool = False) -> Buffers
         for name in ("color", "velocity", "path", "pass_colors", "guide")
         for image in [getattr(buffers, name)]
     }
-    held = np.ones(buffers.depth.shape, bool) if buffers.valid is None else buffers.valid
-    valid = put_into(held, window, wanted, known)
+    known = known_in(buffers, wanted)
     return dataclasses.replace(
         buffers,
         **placed,
         depth=put_into(buffers.depth, window, wanted, np.inf),
-        valid=None if valid.all() else valid,
+        valid=None if known.all() else known,
         windows=buffers.windows._replace(data=wanted),
         decoded=None,
     )

@@ -77,22 +77,23 @@ def is_cut(first: exr.Buffers, second: exr.Buffers, shutter: float) -> bool:
     the mean, by a share of the difference between colors at unrelated places. Over consecutive
     frames of four path-traced scenes this share is 0.37 at most, between these scenes 0.71 at
     least. There is a cut if the share of either frame exceeds `UNRELATED`, or if the vectors carry
-    nearly everything out of the picture. Pixels count where both frames show something: a
-    transparent one may be hidden by something of another layer, or lie outside of the data window
-    of a render that is cropped to a hero. Only the two frames decide, so that every run agrees.
+    nearly everything out of the picture. Frames of different data windows are compared where both
+    are known, see `jaxblur.exr.common_window`; there is a cut if that is nowhere. Only the two
+    frames decide, so that every run agrees.
 
     Args:
         first: a frame.
-        second: the next one, of the same display window and channels; its data window may be
-            another.
+        second: the next one, of the same display window and channels.
         shutter: exposure in frames by which their vectors were scaled; above 0.
 
     Returns:
         True also where long vectors, as renderers write them at a cut, bring nothing into place.
     """
-    window = exr.union(first.windows.data, second.windows.data)
+    window = exr.common_window(first, second)
+    if 0 in window[2:]:
+        return True
     a, b = (_cells_of(exr.buffers_in(frame, window)) for frame in (first, second))
-    usual = _difference_elsewhere(a, b)
+    usual = _difference_elsewhere(a.color, b.color)
     return any(
         differs > UNRELATED * max(usual, ALIKE)
         for differs in (_difference(a, b, 2 / shutter), _difference(b, a, -2 / shutter))
@@ -105,13 +106,10 @@ class _Cells(NamedTuple):
     Attributes:
         color: (H, W, C), compressed to 0..1.
         velocity: (H, W, 2) half-spread in cells.
-        filled: (H, W) whether most of the cell's pixels are known, and any shows something: a
-            color, or alpha.
     """
 
     color: np.ndarray
     velocity: np.ndarray
-    filled: np.ndarray
 
 
 _KNOWN: dict[int, tuple[weakref.ref[exr.Buffers], _Cells]] = {}
@@ -142,43 +140,29 @@ def _in_cells(buffers: exr.Buffers) -> _Cells:
         return bands.reshape(rows, columns, size, -1).sum(axis=2) / size**2
 
     light = np.maximum(np.nan_to_num(buffers.color, posinf=1e6), 0)
-    color, velocity = means(light / (1 + light)), means(buffers.velocity) / size
-    known = np.ones(color.shape[:2], bool)
-    if buffers.valid is not None:
-        # What is unknown is black and at rest there.
-        share = means(buffers.valid[..., None].astype(np.float32))
-        scale = 1 / np.maximum(share, 1 / size**2)
-        color, velocity, known = scale * color, scale * velocity, share[..., 0] > 0.5
-    return _Cells(color, velocity, known & (color > 0).any(axis=-1))
+    return _Cells(means(light / (1 + light)), means(buffers.velocity) / size)
 
 
 def _difference(here: _Cells, there: _Cells, frames: float) -> float:
     """Mean difference of the cells from the cells that they move to; infinite if few land."""
-    if not here.filled.any():
-        return 0.0 if not there.filled.any() else math.inf
     height, width = here.color.shape[:2]
     row, column = np.indices((height, width))
     x = column + frames * here.velocity[..., 0]
     y = row + frames * here.velocity[..., 1]
-    lands = here.filled & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    x, y, color = x[lands], y[lands], here.color[lands]
+    lands = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    if lands.mean() < FEWEST:
+        return math.inf
+    x, y = x[lands], y[lands]
     left, top = x.astype(int), y.astype(int)
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    corners = ((top, left), (top, right), (bottom, left), (bottom, right))
-    shown = np.logical_and.reduce([there.filled[corner] for corner in corners])
-    if shown.sum() < FEWEST * here.filled.sum():
-        return math.inf
     across, down = (x - left)[:, None], (y - top)[:, None]
     upper = there.color[top, left] * (1 - across) + there.color[top, right] * across
     lower = there.color[bottom, left] * (1 - across) + there.color[bottom, right] * across
-    return float(np.abs(upper * (1 - down) + lower * down - color)[shown].mean())
+    return float(np.abs(upper * (1 - down) + lower * down - here.color[lands]).mean())
 
 
-def _difference_elsewhere(first: _Cells, second: _Cells) -> float:
+def _difference_elsewhere(first: np.ndarray, second: np.ndarray) -> float:
     """Mean difference of cells from cells at unrelated places of the other frame."""
-    a, b = (cells.color[cells.filled] for cells in (first, second))
-    a, b = (cells[: min(len(a), len(b))] for cells in (a, b))
-    if not len(a):
-        return 0.0
+    a, b = (cells.reshape(-1, cells.shape[-1]) for cells in (first, second))
     shifts = {len(b) * k // SHIFTS for k in range(1, SHIFTS)}
     return float(np.mean([np.abs(a - np.roll(b, shift, axis=0)).mean() for shift in shifts]))

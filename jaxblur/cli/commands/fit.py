@@ -32,9 +32,9 @@ from ..filtering import (
     describe_filters,
     find_filter,
 )
-from ..loading import in_window
 from ..progress import stages
 from ..sources import add_source_options, add_vector_options
+from ..windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -352,15 +352,11 @@ def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path])
     frame, truth = named["input"], named["truth"]
     LOG.info("%s: truth %s", frame, truth)
     buffers = sources.read(argparse.Namespace(**vars(arguments) | dict(named)))
-    image, info = exr.read_image(truth), exr.inspect(truth)
-    channel = exr.choose_color(info).channels[0]
-    image = in_window(truth, image, channel, frame, buffers.windows)
-    if image is None:
-        own = exr.windows_of(info, channel).data
-        raise CommandError(
-            f"{truth}: the truth has the pixels {exr.window_words(own)}, but {frame} has "
-            f"{exr.window_words(buffers.windows.data)}; render both with the same data window."
-        )
+    image = in_window(
+        exr.read_image(truth),
+        *(truth, exr.choose_color(exr.inspect(truth)).channels[0], frame, buffers.windows),
+        what="the truth",
+    )
     return _cropped(arguments.crop, frame, buffers, image)
 
 

@@ -24,7 +24,7 @@ from ..colors import add_color_options, check_colors, shown_colors
 from ..compute import start_jax
 from ..console import print_line, print_table, track
 from ..errors import FAILED, is_foreseeable, message_of
-from ..loading import in_window, shown_truth
+from ..loading import shown_truth
 from ..outputs import add_output_option, check_output, files_of
 from ..progress import remarks_once
 from ..scores import SCORE_COLUMNS, add_truth_options, scores, view_rows
@@ -40,6 +40,7 @@ from ..sequence import (
     with_all_frames,
 )
 from ..sources import add_channel_options
+from ..windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -334,15 +335,10 @@ def _through_posts(picture: _View, depth: pathlib.Path) -> Any:
     distance = None
     if posts.needs_depth(arguments):
         where = {"layer": arguments.layer, "depth_channel": arguments.depth_channel}
-        distance = exr.read_depth(depth, arguments.depth or "z", **where)
-        info = exr.inspect(depth)
-        channel = exr.choose_depth(info, **where, needed=True)
-        own = exr.windows_of(info, channel).data
-        distance = in_window(depth, distance, channel, arguments.input, picture.windows)
-        if distance is None:
-            raise CommandError(
-                f"{depth}: the depth has the pixels {exr.window_words(own)}, but "
-                f"{arguments.input} has {exr.window_words(picture.windows.data)}; render both with "
-                "the same data window."
-            )
+        channel = exr.choose_depth(exr.inspect(depth), **where, needed=True)
+        distance = in_window(
+            exr.read_depth(depth, arguments.depth or "z", **where),
+            *(depth, channel, arguments.input, picture.windows),
+            what="the depth",
+        )
     return posts.apply(arguments, color, distance, color.shape[2], picture.windows)

@@ -13,7 +13,7 @@ from .. import blurring, loading, mattes, outputs, views
 from ..choice import Choice, choose, passed_through
 from ..compute import start_jax
 from ..filtering import find_filter
-from ..loading import Loaded, Source, are_apart, mismatch, placed
+from ..loading import Loaded, Source, mismatch, placed
 from ..progress import about_frame
 from ..scores import scores_of
 from . import report
@@ -136,14 +136,14 @@ class FrameWork:
         first, second = neighbor.buffers, loaded.buffers
         if number > frame:
             first, second = second, first
-        why = ""
-        if are_apart(loaded, neighbor):
-            why = "their data windows have no pixel in common"
-        elif is_cut(first, second, self.arguments.shutter):
-            why = "what they show differs too much, as at a cut"
-        if why:
-            LOG.info("frames %d and %d do not see each other: %s", *sorted((number, frame)), why)
-        return not why
+        if is_cut(first, second, self.arguments.shutter):
+            LOG.info(
+                "frames %d and %d do not see each other: what they show differs too much, as at a "
+                "cut",
+                *sorted((number, frame)),
+            )
+            return False
+        return True
 
     def blur(self, job: Any, frames: list[View]) -> tuple[Choice, list[tuple[View, Any]]]:
         """Blur the views of a frame, or pass it through."""

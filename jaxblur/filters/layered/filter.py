@@ -27,7 +27,7 @@ from . import background, holes, views
 from .aperture import Aperture, maps_through_lens, on_disc, places_of, with_discs
 from .clock import Clock, clock_of, scaled
 from .five_places import through_five_places
-from .neighbors import Neighbor, neighbor_of, without_masked
+from .neighbors import Neighbor, neighbor_of
 from .owners import Coding, maps_of, owners_of, states_of
 from .paths import paths_of
 from .slices import Images, Inputs, Plan, blur_pixel
@@ -370,7 +370,7 @@ def layered_with_hidden(
 
 
 def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
-    """A neighbor without a mask, of the size, channels and dtype of the frame.
+    """A neighbor as `check_frame` returns it, of the size, channels and dtype of the frame.
 
     Args:
         neighbor: it.
@@ -378,7 +378,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
         frame: checked.
 
     Returns:
-        The neighbor, see `without_masked`.
+        The neighbor.
 
     Raises:
         ValueError: it is no frame, shapes or dtypes disagree, or depth or motion is NaN.
@@ -399,7 +399,7 @@ def checked_neighbor(neighbor: Frame, name: str, frame: Frame) -> Frame:
             f"`{name}` must have the dtype of `frame`, {frame.color.dtype}, got "
             f"{checked.color.dtype}; convert all buffers to one."
         )
-    return without_masked(checked)
+    return checked
 
 
 def frames_of(shutter: ArrayLike) -> jax.Array:
@@ -446,7 +446,7 @@ def _checked(
     others: Others,
     settings: Settings,
 ) -> jax.Array:
-    """Check what jit does not see; beside a frame with a mask, neighbors get its channel."""
+    """Check what jit does not see, and give neighbors of a masked frame a channel for its mask."""
     settings = checked_settings(settings, Settings, "layered")
     check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
@@ -456,7 +456,11 @@ def _checked(
         check_frames(others.shutter)
         given = {name: checked_neighbor(given[name], name, frame) for name in given}
     if frame.valid is not None:
+        # All colors have the channels of the frame, whose mask becomes one of them.
         everything = jnp.ones(frame.depth.shape, bool)
-        given = {name: append_mask(one.replace(valid=everything)) for name, one in given.items()}
+        given = {
+            name: append_mask(one.replace(valid=everything)).replace(valid=one.valid)
+            for name, one in given.items()
+        }
     others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)

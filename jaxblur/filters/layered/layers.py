@@ -56,8 +56,7 @@ class Layer:
 
     Attributes:
         frame: its color is premultiplied, and the last channel is alpha: 0 nothing, 1 opaque.
-        before: the layer in the frame before, or None; see `jaxblur.layered`. Where alpha does not
-            say what is there, it may have a mask.
+        before: the layer in the frame before, or None; see `jaxblur.layered`. It may have a mask.
         after: likewise in the frame after.
         holdout: whether the layer hides what is behind it without being seen, so that the result
             is transparent there.
@@ -260,7 +259,8 @@ def blur_layers(
     if not len(layers):
         raise ValueError("`layers` must hold at least one layer, the front one first, got none.")
     given = [Layer(layer) if isinstance(layer, Frame) else layer for layer in layers]
-    given = [_checked_layer(number, layer, given[0]) for number, layer in enumerate(given)]
+    for number, layer in enumerate(given):
+        _check_layer(number, layer, given[0])
     parameters = LayeredParameters() if parameters is None else parameters
     check_parameters(parameters, LayeredParameters)
     settings = checked_settings(settings, Settings, "blur_layers")
@@ -283,8 +283,8 @@ def blur_layers(
     )
 
 
-def _checked_layer(number: int, layer: Layer, first: Layer) -> Layer:
-    """Reject what cannot be a layer; its neighbors come back without masks."""
+def _check_layer(number: int, layer: Layer, first: Layer) -> None:
+    """Reject what cannot be a layer."""
     name = f"layers[{number}]"
     if not isinstance(layer, Layer):
         kind = type(layer).__name__
@@ -305,16 +305,13 @@ def _checked_layer(number: int, layer: Layer, first: Layer) -> Layer:
         refuse_nan_motion(layer.frame)
     except ValueError as error:
         raise ValueError(str(error).replace("`frame.", f"`{name}.frame.")) from error
+    for side in ("before", "after"):
+        if (neighbor := getattr(layer, side)) is not None:
+            checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
     if layer.frame.valid is not None:
         raise ValueError(
             f"`{name}` must not have a mask (`Frame.valid`): in a layer, alpha says what is there."
         )
-    near = {
-        side: checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
-        for side in ("before", "after")
-        if (neighbor := getattr(layer, side)) is not None
-    }
-    return dataclasses.replace(layer, **near)
 
 
 _ADD_ALPHA = (

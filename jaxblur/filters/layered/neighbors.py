@@ -94,6 +94,7 @@ class Both(NamedTuple):
         valid: (H, W, 1) where the blurred frame has light, or None.
         there: (H, W, C) picture of the neighbor.
         vectors: of the neighbor.
+        known: (H, W, 1) 0 where the picture of the neighbor is masked, or None.
     """
 
     here: Image
@@ -101,6 +102,7 @@ class Both(NamedTuple):
     valid: Image | None
     there: Image
     vectors: Vectors
+    known: Image | None
 
 
 def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> Outcome:
@@ -134,6 +136,9 @@ def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> 
         if images.valid is not None:
             (valid,) = images.valid.read_inside(row, column)
             both = both & (valid > 0)
+        if images.known is not None:
+            (known,) = images.known.read_inside(own_row, own_column)
+            both = both & (known > 0)
         here = images.here.read_inside(row, column)
         there = images.there.read_inside(own_row, own_column)
         roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in (*here, *there)]
@@ -155,7 +160,9 @@ def neighbor_of(
         backend: see `jaxblur.Settings`.
 
     Returns:
-        The neighbor. Differentiable, with `light` held.
+        The neighbor. Differentiable, with `light` held. Its masked pixels are found nowhere, since
+        they move far away. Were the mask a channel of the color, they would hide what the other
+        neighbor shows.
     """
     height, width = frame.depth.shape
     half = jnp.asarray(shutter, frame.color.dtype) / 2
@@ -163,36 +170,10 @@ def neighbor_of(
     vectors = vectors_of(frame)
     inputs = (times, half)
     motion = each_pixel(motion_of_pixel, (height, width), vectors, inputs, None, backend=backend)
+    if frame.valid is not None:
+        motion = jnp.where(frame.valid[..., None] > 0, motion, _AWAY)
     light = light_of(blurred, frame, frames, half, backend)
     return Neighbor(Image(frame.color), Image(motion), Image(light))
-
-
-def without_masked(frame: Frame) -> Frame:
-    """A neighbor of which the masked pixels are found nowhere, since they move far away.
-
-    A mask as one more channel would not do: unknown pixels would hide what the other neighbor
-    shows, and would count as another light.
-
-    Args:
-        frame: the neighbor, checked.
-
-    Returns:
-        It, without a mask.
-    """
-    if frame.valid is None:
-        return frame
-    known = jnp.asarray(frame.valid) != 0
-    path = frame.path
-    if path is not None:
-        away = jnp.asarray([[-_AWAY], [_AWAY]], path.dtype)
-        path = jnp.where(known[..., None, None], path, away)
-    return frame.replace(
-        color=jnp.where(known[..., None], frame.color, 0),
-        depth=jnp.where(known, frame.depth, jnp.inf),
-        velocity=jnp.where(known[..., None], frame.velocity, _AWAY),
-        path=path,
-        valid=None,
-    )
 
 
 def vectors_of(frame: Frame) -> Vectors:
@@ -230,7 +211,8 @@ def light_of(
     here, there = map(Image, pictures)
     # A masked frame has the mask as the last channel of its color.
     valid = None if blurred.valid is None else Image(blurred.color[..., -1:])
-    images = Both(here, Image(blurred.depth), valid, there, vectors_of(frame))
+    known = None if frame.valid is None else Image(frame.valid[..., None])
+    images = Both(here, Image(blurred.depth), valid, there, vectors_of(frame), known)
     height, width = frame.depth.shape
     blocks, channels = (-(-height // _BLOCK), -(-width // _BLOCK)), here.channels
     lights = each_pixel(common_light, blocks, images, (frames / half, half), backend=backend)
