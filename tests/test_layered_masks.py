@@ -21,7 +21,7 @@ def frame_at(time, shutter=0.5, curved=False):
     stripes = 0.5 + 0.4 * np.sin(0.9 * column + 0.3 * row)
     square = (np.abs(column - 12 - STEP * time) < 5) & (np.abs(row - 10) < 6)
     color = np.stack([np.where(square, own, stripes * own) for own in (0.9, 0.5, 0.2)], axis=-1)
-    velocity = np.where(square, STEP * shutter / 2, 0)[..., None] * np.float32([1, 0])
+    velocity = np.where(square, STEP * shutter / 2, 0)[..., None] * np.array([1, 0], np.float32)
     path = np.stack([-velocity, velocity], axis=2) if curved else None
     depth = np.where(square, 1.0, 9.0)
     return jaxblur.Frame(*map(jnp.float32, (color, depth, velocity)), path=path)

@@ -1,0 +1,286 @@
+"""Data windows on the command line: cropped renders, overscan, and files of other windows."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxblur
+from jaxblur import exr
+from tests.command_line import refused, run
+from tests.exr_files import plain_frame, write_single
+from tests.hero_files import HERO, crypto_notes, frame, ids
+from tests.test_cli_neighbors import FEW, SETTINGS, SIZE, channels_at, note
+from tests.test_exr_windows import part_of, write_part
+
+FAST = ("--preset", "jaxblur", "--filter", "pixel_velocity", "--noise", "none")
+DISPLAY = (0, 0, SIZE[1], SIZE[0])
+WINDOWS = {1: (2, 1, 28, 18), 2: (8, 2, 28, 17), 3: (12, 0, 24, 20)}
+
+
+def element_at(time):
+    """The square of a frame alone, with alpha."""
+    channels = channels_at(time)
+    alpha = np.float32(channels["Z"] < 5)
+    element = {name: channels[name] * alpha for name in "RGB"} | {"A": alpha}
+    element["Z"] = np.where(alpha, 1, np.inf).astype(np.float32)
+    return element | {name: channels[name] for name in ("velocity.X", "velocity.Y")}
+
+
+def write_shot(folder, make, windows):
+    for number, window in windows.items():
+        write_part(folder / f"in.{number:04d}.exr", make(number), window)
+
+
+def frames_in(folder, make, windows, known):
+    """The frames of a shot in the window of frame 2, with masks where nothing is known."""
+    frames = {}
+    for number, (x, y, width, height) in windows.items():
+        held = np.zeros(SIZE, bool)
+        held[y : y + height, x : x + width] = True
+        whole = jaxblur.read_frame(write_single(folder / "whole.exr", make(number)), shutter=0.5)
+        left, top, columns, rows = windows[2]
+        part = (slice(top, top + rows), slice(left, left + columns))
+        mask = None if known or held[part].all() else jnp.asarray(held[part])
+        frames[number] = jaxblur.Frame(
+            whole.color[part], whole.depth[part], whole.velocity[part], valid=mask
+        )
+    return frames
+
+
+def blur_in_python(frames, seed=None):
+    size = frames[2].depth.shape
+    noise = None if seed is None else jaxblur.noise.make_noise("ign", *size, seed)
+    near = dict(before=frames.get(1), after=frames.get(3))
+    parameters = jaxblur.LayeredParameters()
+    blurred = jaxblur.layered(frames[2], parameters, settings=SETTINGS, noise=noise, **near)
+    return np.asarray(blurred)
+
+
+ELEMENT_WINDOWS = {1: (9, 4, 11, 12), 2: (13, 3, 15, 13), 3: (20, 4, 12, 12)}
+"""As cropped to what is seen in each frame, and two pixels more."""
+
+SHOTS = {
+    "picture": (channels_at, WINDOWS, False),
+    "element": (element_at, ELEMENT_WINDOWS, True),
+    "same size": (channels_at, {1: (0, 0, 30, 18), 2: (4, 1, 30, 18), 3: (4, 2, 30, 18)}, False),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shot", SHOTS)
+def test_a_sequence_puts_neighbors_in_place(tmp_path, shot):
+    make, windows, known = SHOTS[shot]
+    write_shot(tmp_path, make, windows)
+    expected = frames_in(tmp_path, make, windows, known)
+    command = ("blur", tmp_path / "in.####.exr", "-o", tmp_path / "out.####.exr", *FEW)
+    outcome = run(*command, "--frames", "2")
+    assert outcome.status == 0 and "do not see" not in outcome.err, outcome
+    out = tmp_path / "out.0002.exr"
+    assert note(out) == "before in.0001.exr, after in.0003.exr"
+    assert exr.windows_of(exr.inspect(out), "R") == (windows[2], DISPLAY)
+    blurred = exr.read_image(out)
+    np.testing.assert_allclose(blurred, blur_in_python(expected, seed=2), atol=1e-5)
+    assert np.abs(blurred - blur_in_python({2: expected[2]}, seed=2)).max() > 0.02
+
+
+@pytest.mark.slow
+def test_named_neighbors_are_put_in_place(tmp_path):
+    write_shot(tmp_path, channels_at, WINDOWS)
+    expected = frames_in(tmp_path, channels_at, WINDOWS, False)
+    near = ("--before", tmp_path / "in.0001.exr", "--after", tmp_path / "in.0003.exr")
+    command = ("blur", tmp_path / "in.0002.exr", "-o", tmp_path / "out.exr", *FEW, *near)
+    outcome = run(*command)
+    assert outcome.status == 0 and "WARNING" not in outcome.err, outcome
+    blurred = exr.read_image(tmp_path / "out.exr")
+    np.testing.assert_allclose(blurred, blur_in_python(expected), atol=1e-5)
+
+
+def test_a_neighbor_of_another_picture_is_refused(tmp_path):
+    path = write_part(tmp_path / "a.exr", channels_at(2), WINDOWS[2])
+    other = write_part(tmp_path / "b.exr", channels_at(1), WINDOWS[1], display=(0, 0, 40, 20))
+    error = refused("blur", path, "-o", tmp_path / "out.exr", "--before", other)
+    assert "has a display window of 40x20 at (0, 0), but the frame has one of 36x20" in error
+
+
+@pytest.mark.slow
+def test_subframes_are_put_in_place(tmp_path):
+    windows = {1: (9, 3, 17, 14), 2: (15, 3, 15, 14)}
+    path = write_part(tmp_path / "in.exr", element_at(2), (10, 2, 22, 16))
+    for number, window in windows.items():
+        time = 2 + 0.25 * (number - 1.5)
+        write_part(tmp_path / f"sub.{number:02d}.exr", element_at(time), window)
+        write_part(tmp_path / f"whole.{number:02d}.exr", element_at(time), (10, 2, 22, 16))
+    out, names = tmp_path / "out.exr", ("sub.##.exr", "whole.##.exr")
+    images = []
+    for name in names:
+        command = ("blur", path, "-o", out, "--overwrite", *FEW, "--subframes", tmp_path / name)
+        assert run(*command).status == 0
+        images.append(exr.read_image(out))
+    np.testing.assert_array_equal(*images)
+
+
+def test_subframes_must_be_known_everywhere(tmp_path):
+    path = write_part(tmp_path / "in.exr", channels_at(2), (0, 0, 36, 20))
+    for number, window in ((1, (0, 0, 36, 20)), (2, (1, 0, 35, 20))):
+        write_part(tmp_path / f"sub.{number:02d}.exr", channels_at(2), window)
+    command = ("blur", path, "-o", tmp_path / "out.exr", "--subframes", tmp_path / "sub.##.exr")
+    error = refused(*command)
+    assert "sub.02.exr has the pixels 35x20 at (1, 0), but the frame has 36x20 at (0, 0)" in error
+
+
+def test_a_truth_is_put_in_place(tmp_path):
+    path = write_part(tmp_path / "in.exr", channels_at(2), (4, 2, 20, 14))
+    command = ("blur", path, "-o", tmp_path / "out.exr", "--overwrite", *FAST, "--truth")
+    outcomes = [
+        run(*command, write_part(tmp_path / "truth.exr", channels_at(2.1), window))
+        for window in ((4, 2, 20, 14), (2, 0, 30, 18), (0, 0, 36, 20))
+    ]
+    assert all(outcome.status == 0 for outcome in outcomes)
+    assert "PSNR" in outcomes[0].out and len({outcome.out for outcome in outcomes}) == 1
+    # One of the same size at another place is refused.
+    other = write_part(tmp_path / "other.exr", channels_at(2.1), (5, 2, 20, 14))
+    error = refused(*command, other)
+    assert "the truth has the pixels 20x14 at (5, 2) of the display window 36x20" in error
+
+
+@pytest.mark.slow
+def test_fit_puts_a_truth_in_place(tmp_path):
+    path = write_part(tmp_path / "in.exr", channels_at(2), (4, 2, 20, 14))
+    command = ("fit", path, "-o", tmp_path / "fit.toml", "--overwrite", "--steps", "2")
+    command = (*command, "--filter", "guertin2014", "--radius", "16", "--truth")
+    found = []
+    for window in ((4, 2, 20, 14), (0, 0, 36, 20)):
+        truth = write_part(tmp_path / "truth.exr", channels_at(2.1), window)
+        outcome = run(*command, truth)
+        assert outcome.status == 0, outcome
+        found.append((tmp_path / "fit.toml").read_text())
+    assert found[0] == found[1]
+    other = write_part(tmp_path / "truth.exr", channels_at(2.1), (5, 2, 20, 14))
+    assert "the truth has the pixels 20x14 at (5, 2)" in refused(*command, other)
+
+
+def test_mattes_are_put_in_place(tmp_path):
+    window = (10, 4, 20, 14)
+    path = write_part(tmp_path / "in.exr", frame(), window)
+    out, names = tmp_path / "out.exr", ("/hero", "/set/ground")
+    mattes = write_single(tmp_path / "mattes.exr", ids(names), **crypto_notes())
+    command = ("blur", path, "-o", out, "--overwrite", *FAST)
+    assert run(*command).status == 0
+    plain = exr.read_image(out)
+    given = ("--scale-motion", "crypto:/hero=0", "--matte-from", mattes)
+    assert run(*command, *given).status == 0
+    hero = part_of({"": HERO}, window)[""]
+    image = exr.read_image(out)
+    np.testing.assert_array_equal(image[hero], exr.read_image(path)[hero])
+    np.testing.assert_array_equal(image[~hero], plain[~hero])
+
+
+def test_outside_of_mattes_motion_stays(tmp_path):
+    path, out = write_single(tmp_path / "in.exr", frame()), tmp_path / "out.exr"
+    gain = {"gain.Y": np.zeros(HERO.shape, np.float32)}
+    maps = write_part(tmp_path / "maps.exr", gain, (10, 4, 20, 14))
+    command = ("blur", path, "-o", out, "--overwrite", *FAST)
+    assert run(*command).status == 0
+    plain = exr.read_image(out)
+    assert run(*command, "--scale-motion", "map:gain.Y", "--matte-from", maps).status == 0
+    held = np.zeros(HERO.shape, bool)
+    held[4:18, 10:30] = True
+    image = exr.read_image(out)
+    np.testing.assert_array_equal(image[held], exr.read_image(path)[held])
+    np.testing.assert_array_equal(image[~held], plain[~held])
+
+
+@pytest.mark.parametrize("limit", ["10%", "valve"])
+def test_shares_of_the_width_are_of_the_display_window(tmp_path, limit):
+    window, images = (6, 4, 12, 14), []
+    for name, part in (("whole", (0, 0, 36, 24)), ("part", window)):
+        path = write_part(tmp_path / f"{name}.exr", frame((16.0, 0.0)), part)
+        command = ("blur", path, "-o", tmp_path / "out.exr", "--overwrite", *FAST)
+        assert run(*command, "--limit-motion", limit).status == 0
+        images.append(exr.read_image(tmp_path / "out.exr"))
+    # The blur reaches over the edges of the data window by less than three pixels.
+    np.testing.assert_allclose(images[1][:, 3:-3], images[0][4:18, 9:15], atol=1e-6)
+
+
+def test_the_sensor_shows_the_display_window(tmp_path):
+    channels = plain_frame((24, 36))
+    lens = ("--focus", "2", "--f-number", "1.4", "--focal-length", "70")
+    images = []
+    for part in ((0, 0, 36, 24), (6, 4, 24, 18)):
+        path = write_part(tmp_path / "in.exr", channels, part)
+        command = ("post", path, "-o", tmp_path / "out.exr", "--overwrite", "--do", "defocus")
+        outcome = run(*command, *lens)
+        assert outcome.status == 0, outcome
+        images.append((exr.read_image(tmp_path / "out.exr"), outcome.err))
+    radii = [text.partition("up to a radius of ")[2].partition(" px")[0] for _, text in images]
+    assert radii[0] and radii[0] == radii[1]
+
+
+def test_post_puts_the_depth_in_place(tmp_path):
+    channels = plain_frame((24, 36))
+    picture = {name: channels[name] for name in "RGB"}
+    path = write_part(tmp_path / "in.exr", picture, (6, 4, 24, 18))
+    command = ("post", path, "-o", tmp_path / "out.exr", "--overwrite", "--do", "mlaa-depth")
+    images = []
+    for window in ((6, 4, 24, 18), (0, 0, 36, 24)):
+        depth = write_part(tmp_path / "depth.exr", {"Z": channels["Z"]}, window)
+        assert run(*command, "--depth-from", depth).status == 0
+        images.append(exr.read_image(tmp_path / "out.exr"))
+    np.testing.assert_array_equal(*images)
+    depth = write_part(tmp_path / "depth.exr", {"Z": channels["Z"]}, (5, 4, 24, 18))
+    error = refused(*command, "--depth-from", depth)
+    assert "the depth has the pixels 24x18 at (5, 4)" in error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((("--before", 3),), "--before: by its number"),
+        ((("--after", 1), ("--before", 3)), "--after: by its number"),
+        ((("--before", 1), ("--after", 4)), "--after: what"),
+    ],
+)
+def test_neighbors_that_are_hardly_such_are_told(tmp_path, given, words):
+    write_shot(tmp_path, channels_at, dict.fromkeys((1, 2, 3), DISPLAY))
+    write_part(tmp_path / "in.0004.exr", channels_at(3, shift=11), DISPLAY)
+    near = [text for o, n in given for text in (o, tmp_path / f"in.000{n}.exr")]
+    command = ("blur", tmp_path / "in.0002.exr", "-o", tmp_path / "out.exr", *FEW, *near)
+    outcome = run(*command)
+    assert outcome.status == 0 and words in outcome.err, outcome
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((("--before", 2),), "in.0002.exr is the frame itself"),
+        ((("--before", 1), ("--after", 1)), "in.0001.exr is --before too"),
+    ],
+)
+def test_one_frame_in_two_places_is_refused(tmp_path, given, words):
+    write_shot(tmp_path, channels_at, dict.fromkeys((1, 2), DISPLAY))
+    near = [text for o, n in given for text in (o, tmp_path / f"in.000{n}.exr")]
+    error = refused("blur", tmp_path / "in.0002.exr", "-o", tmp_path / "out.exr", *near)
+    assert words in error and "leave it out" in error
+
+
+@pytest.mark.slow
+def test_layers_put_neighbors_in_place(tmp_path):
+    """The layer behind is opaque: of what its neighbor does not hold nothing is known."""
+    windows = {2: (0, 0, 36, 20), 3: (2, 1, 33, 18)}
+    for number, window in windows.items():
+        write_part(tmp_path / f"hero.{number}.exr", element_at(number), window)
+        write_part(tmp_path / f"set.{number}.exr", channels_at(number), window)
+    write_part(tmp_path / "hero.4.exr", element_at(3), windows[2])
+    write_part(tmp_path / "set.4.exr", channels_at(3), windows[2])
+    images = []
+    for after in (3, 4):
+        out = tmp_path / "out.exr"
+        command = ("layers", tmp_path / "hero.2.exr", tmp_path / "set.2.exr", "-o", out, *FEW)
+        near = [f"{tmp_path / name}.{after}.exr" for name in ("hero", "set")]
+        outcome = run(*command, "--overwrite", "--after", *near)
+        assert outcome.status == 0, outcome
+        images.append(exr.read_image(out))
+    inside = (slice(4, 16), slice(4, 32))
+    np.testing.assert_allclose(images[0][inside], images[1][inside], atol=0.02)
+    assert images[0].min() > 0.01
