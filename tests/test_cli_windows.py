@@ -284,3 +284,42 @@ def test_layers_put_neighbors_in_place(tmp_path):
     inside = (slice(4, 16), slice(4, 32))
     np.testing.assert_allclose(images[0][inside], images[1][inside], atol=0.02)
     assert images[0].min() > 0.01
+
+
+PICTURES = ("out.tif", "out.png", "out.jpg")
+
+
+@pytest.mark.parametrize("window", [(6, 4, 20, 14), (-4, -2, 44, 28), (30, -3, 9, 12)])
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_show_the_display_window(tmp_path, name, window):
+    whole = {key: np.float32(0.5) + 0 * plane for key, plane in frame((0.0, 0.0)).items()}
+    channels = {key: np.pad(plane, 4, "edge") for key, plane in whole.items()}
+    x, y, *size = window
+    part = part_of(channels, (x + 4, y + 4, *size))
+    path = write_single(tmp_path / "in.exr", part, origin=(x, y), display=(0, 0, 36, 24))
+    held = exr.put_into(np.ones(size[::-1], bool), window, (0, 0, 36, 24))
+    out = tmp_path / name
+    for command in (("blur", path, *FAST), ("post", path, "--do", "fxaa")):
+        assert run(*command, "-o", out, "--overwrite").status == 0
+        image = exr.read_image(out)
+        assert image.shape == (24, 36, 3)
+        assert image[held].min() > 0.3 and image[~held].max(initial=0) < 0.2, "JPEG rings"
+    colors = np.float32(0.5) * np.ones((*size[::-1], 3), np.float32)
+    exr.write_image(out, colors, like=path, overwrite=True)
+    assert exr.read_image(out).shape == (24, 36, 3)
+
+
+def test_a_preview_shows_the_display_window_and_the_exr_keeps_its_own(tmp_path):
+    path = write_part(tmp_path / "in.exr", frame(), (6, 4, 20, 14))
+    out = tmp_path / "out.exr"
+    assert run("blur", path, "-o", out, "--png", *FAST).status == 0
+    assert exr.windows_of(exr.inspect(out), "R") == ((6, 4, 20, 14), (0, 0, 36, 24))
+    assert exr.read_image(out.with_suffix(".png")).shape == (24, 36, 3)
+
+
+def test_floats_of_a_picture_are_transparent_where_nothing_is_held(tmp_path):
+    channels = frame((0.0, 0.0)) | {"A": np.ones((24, 36), np.float32)}
+    path = write_part(tmp_path / "in.exr", channels, (6, 4, 20, 14))
+    assert run("blur", path, "-o", tmp_path / "out.tif", *FAST).status == 0
+    alpha = exr.read_image(tmp_path / "out.tif")[..., 3]
+    assert (alpha[4:18, 6:26] == 1).all() and alpha.sum() == 14 * 20

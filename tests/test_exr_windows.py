@@ -1,6 +1,7 @@
 """Data windows: frames, coverages and pairs of frames in other data windows."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,9 +112,10 @@ def test_passes_and_paths_go_along(tmp_path):
 
 
 def test_coverages_are_put_in_place():
+    layer: Any = None
     ranks = exr.Ranks(
-        *(None, (4, 6), np.array([0, 7, 23]), np.array([5, 6, 7], np.uint32)),
-        np.float32([0.5, 0.25, 1]),
+        *(layer, (4, 6), np.array([0, 7, 23]), np.array([5, 6, 7], np.uint32)),
+        np.array([0.5, 0.25, 1], np.float32),
     )
     placed = exr.ranks_in(ranks, WINDOW, FULL)
     rows, columns = np.divmod(placed.pixels, 12)
@@ -152,21 +154,20 @@ def moving(seed, offset, alpha):
 @pytest.mark.parametrize(("seed", "cut"), [(0, False), (1, True)])
 def test_frames_of_different_windows_are_compared_in_place(tmp_path, alpha, seed, cut):
     windows = ((8, 2, 35, 30), (13, 4, 35, 30)) if alpha else ((0, 0, 60, 40), (6, 3, 70, 37))
-    frames = [
-        exr.read_buffers(write_part(tmp_path / f"{k}.exr", channels, window), shutter=0.5)
-        for k, channels, window in zip(
-            *((1, 2), (moving(0, 0, alpha), moving(seed, 5, alpha)), windows), strict=True
-        )
-    ]
-    assert is_cut(*frames, 0.5) == cut
+    pictures = moving(0, 0, alpha), moving(seed, 5, alpha)
+    first, second = (
+        exr.read_buffers(write_part(tmp_path / "a.exr", picture, window), shutter=0.5)
+        for picture, window in zip(pictures, windows, strict=True)
+    )
+    assert is_cut(first, second, 0.5) == cut
 
 
 def test_frames_that_have_no_pixel_in_common_are_a_cut(tmp_path):
-    frames = [
+    first, second = (
         exr.read_buffers(write_part(tmp_path / "a.exr", moving(0, 0, False), window))
         for window in ((0, 0, 20, 40), (30, 0, 20, 40))
-    ]
-    assert is_cut(*frames, 0.5)
+    )
+    assert is_cut(first, second, 0.5)
 
 
 @pytest.mark.parametrize("option", ["velocity_from", "depth_from"])

@@ -81,8 +81,10 @@ def put_into(
         outside: values of pixels that the image does not hold.
 
     Returns:
-        (height, width, ...) pixels of the other one.
+        (height, width, ...) pixels of the other one; the same array if the windows are the same.
     """
+    if window == wanted:
+        return image
     x, y, width, height = overlap(window, wanted)
     placed = np.full((wanted[3], wanted[2], *image.shape[2:]), outside, image.dtype)
     if width and height:
