@@ -24,8 +24,8 @@ deep files; `windows` puts what was read into another data window. `write` write
 `write_like` those that keep what a model holds, `pictures` PNG, TIFF and JPEG, over `output`;
 `notes` holds metadata that a format has no place for.
 
-Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
-and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
+Pixels are those of the data window: overscan is filtered and written like the rest, but pictures
+are of the display window. Color is linear and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
 `conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.
 """
 
