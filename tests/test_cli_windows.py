@@ -2,12 +2,13 @@
 
 import jax.numpy as jnp
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 import jaxblur
 from jaxblur import exr
 from tests.command_line import refused, run
-from tests.exr_files import plain_frame, write_single
+from tests.exr_files import make_spec, plain_frame, write_parts, write_single
 from tests.hero_files import HERO, crypto_notes, frame, ids
 from tests.test_cli_neighbors import FEW, SETTINGS, SIZE, channels_at, note
 from tests.test_exr_windows import part_of, write_part
@@ -323,3 +324,102 @@ def test_floats_of_a_picture_are_transparent_where_nothing_is_held(tmp_path):
     assert run("blur", path, "-o", tmp_path / "out.tif", *FAST).status == 0
     alpha = exr.read_image(tmp_path / "out.tif")[..., 3]
     assert (alpha[4:18, 6:26] == 1).all() and alpha.sum() == 14 * 20
+
+
+TIGHT = (16, 5, 9, 11)
+"""The square of frame 2 with a row and a column to spare."""
+PLAIN = (*FEW, "--noise", "none")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options", [("--shutter", "1"), ("--shutter-open", "0", "--shutter-close", "0.7")]
+)
+def test_the_blur_of_a_cropped_element_is_not_cut_off(tmp_path, options):
+    channels = element_at(2) | {"id": np.full(SIZE, 7, np.float32)}
+    cropped = write_part(tmp_path / "a.exr", channels, TIGHT)
+    whole = write_part(tmp_path / "b.exr", channels, DISPLAY)
+    out, images = tmp_path / "out.exr", []
+    for path in (cropped, whole):
+        command = ("blur", path, "-o", out, "--overwrite", *PLAIN, *options)
+        outcome = run(*command)
+        assert outcome.status == 0 and "cut off" not in outcome.err, outcome
+        windows = exr.windows_of(exr.inspect(out), "R")
+        images.append(exr.put_into(exr.read_image(out), windows.data, DISPLAY))
+        if path == cropped:
+            x, y, width, height = windows.data
+            assert (y, height) == (5, 11) and x < 16 and x + width > 25
+            identifiers = exr.put_into(np.full((11, 9), 7), TIGHT, windows.data)
+            np.testing.assert_array_equal(exr.read_values(out, "id"), identifiers)
+            depth = exr.read_values(out, "Z")
+            assert np.isposinf(depth[:, 0]).all() and (depth == 1).any()
+    np.testing.assert_allclose(*images, atol=1e-5)
+    assert np.abs(images[0][:, 25:]).max() > 0.05
+
+
+@pytest.mark.slow
+def test_cryptomattes_and_further_parts_of_a_cropped_element(tmp_path):
+    channels = element_at(2)
+    moves = np.float32(channels["A"])
+    name = np.array(exr.identifier_of("/hero"), np.uint32).view(np.float32)
+    planes = {"R": name * moves, "G": moves, "B": 0 * moves, "A": 0 * moves}
+    channels |= {f"CryptoObject00.{end}": np.float32(plane) for end, plane in planes.items()}
+    found = []
+    for window in (TIGHT, DISPLAY):
+        main, data = part_of(channels, window), part_of({"normal.X": channels["R"]}, window)
+        place = {"origin": window[:2], "display": DISPLAY}
+        header = make_spec(main, name="main", **place, **crypto_notes(("/hero",)))
+        parts = [(header, main), (make_spec(data, name="data", **place), data)]
+        path, out = write_parts(tmp_path / "a.exr", parts), tmp_path / "out.exr"
+        outcome = run("blur", path, "-o", out, "--overwrite", *PLAIN, "--cryptomatte")
+        assert outcome.status == 0, outcome
+        windows = exr.windows_of(exr.inspect(out), "main.R")
+        matte = exr.read_cryptomatte(out, "/hero")
+        found.append(exr.put_into(matte, windows.data, DISPLAY))
+        assert exr.windows_of(exr.inspect(out), "data.normal.X").data == window
+        np.testing.assert_array_equal(exr.read_values(out, "data.normal.X"), data["normal.X"])
+    np.testing.assert_allclose(*found, atol=1e-5)
+    assert ((found[0] > 0) & (found[0] < 1)).any()
+
+
+def test_the_truth_of_an_element_is_transparent_outside(tmp_path):
+    path = write_part(tmp_path / "in.exr", element_at(2), (14, 4, 13, 13))
+    command = ("blur", path, "-o", tmp_path / "out.exr", "--overwrite", *FAST, "--truth")
+    outcomes = [
+        run(*command, write_part(tmp_path / "truth.exr", element_at(2.1), window))
+        for window in ((16, 4, 12, 12), DISPLAY)
+    ]
+    assert all(outcome.status == 0 for outcome in outcomes), outcomes
+    assert "PSNR" in outcomes[0].out and outcomes[0].out == outcomes[1].out
+    opaque = write_part(tmp_path / "opaque.exr", channels_at(2.1), TIGHT)
+    assert "the truth has the pixels 9x11 at (16, 5)" in refused(*command, opaque)
+
+
+def test_views_of_one_file_keep_their_window(tmp_path):
+    element = element_at(2)
+    views = element | {f"right.{name}": plane for name, plane in element.items()}
+    part = part_of(views, TIGHT)
+    spec = make_spec(part, origin=TIGHT[:2], display=DISPLAY)
+    spec.attribute("multiView", oiio.TypeDesc("string[2]"), ("left", "right"))
+    path, out = write_parts(tmp_path / "a.exr", [(spec, part)]), tmp_path / "out.exr"
+    outcome = run("blur", path, "-o", out, *FAST, "--shutter", "1")
+    assert outcome.status == 0, outcome
+    assert "its blur is cut off there" in outcome.err
+    assert exr.windows_of(exr.inspect(out), "R").data == TIGHT
+
+
+@pytest.mark.slow
+def test_layers_say_that_a_blur_is_cut_off(tmp_path):
+    hero = write_part(tmp_path / "hero.exr", element_at(2), TIGHT)
+    back = write_part(tmp_path / "set.exr", channels_at(2), TIGHT)
+    command = ("layers", hero, back, "-o", tmp_path / "out.exr", *FEW, "--shutter", "1")
+    outcome = run(*command)
+    assert outcome.status == 0, outcome
+    assert outcome.err.count("its blur is cut off there") == 1
+
+
+def test_a_cropped_element_at_rest_keeps_its_window(tmp_path):
+    path = write_part(tmp_path / "a.exr", element_at(2), TIGHT)
+    out = tmp_path / "out.exr"
+    assert run("blur", path, "-o", out, *FAST, "--scale-motion", "0").status == 0
+    assert exr.windows_of(exr.inspect(out), "R") == (TIGHT, DISPLAY)

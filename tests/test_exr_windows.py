@@ -170,6 +170,65 @@ def test_frames_that_have_no_pixel_in_common_are_a_cut(tmp_path):
     assert is_cut(first, second, 0.5)
 
 
+def element(tmp_path, velocity, origin=(3, 2), alpha=0.0):
+    """6x4 pixels in a picture of 12x8; those with alpha but the upper left one move so far."""
+    channels = plain_frame() | {"A": np.ones((4, 6), np.float32)}
+    channels["A"][:, 0] = alpha
+    for axis, part in zip("XY", velocity, strict=True):
+        channels[f"velocity.{axis}"][:] = part
+        channels[f"velocity.{axis}"][:, 0] = 9
+    path = write_single(tmp_path / "a.exr", channels, origin=origin, display=FULL)
+    return exr.read_buffers(path, shutter=2)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "origin", "window"),
+    [
+        ((0.0, 0.0), (3, 2), (3, 2, 6, 4)),
+        ((0.4, 0.0), (3, 2), (3, 2, 8, 4)),
+        ((-2.0, 0.6), (3, 2), (1, 0, 11, 8)),
+        ((50.0, 50.0), (3, 2), (0, 0, 12, 8)),
+        ((50.0, 0.0), (-2, 2), (-2, 2, 14, 4)),
+    ],
+)
+def test_the_window_of_a_blur(tmp_path, velocity, origin, window):
+    assert exr.blur_window(element(tmp_path, velocity, origin)) == window
+
+
+def test_the_window_of_a_blur_depends_on_the_shutter_and_on_paths(tmp_path):
+    found = element(tmp_path, (0.6, 0.0))
+    assert exr.blur_window(found, 2) == (1, 2, 11, 4)
+    path = np.zeros((4, 6, 2, 2), np.float32)
+    path[2, 3, 1] = 0, 3
+    assert exr.blur_window(dataclasses.replace(found, path=path)) == (3, 0, 6, 8)
+
+
+@pytest.mark.parametrize("alpha", [None, 1.0])
+def test_the_window_of_other_pictures_stays(tmp_path, alpha):
+    found = element(tmp_path, (5.0, 0.0), alpha=1.0)
+    if alpha is None:
+        changes: Any = {"color": found.color[..., :3], "color_channels": ("R", "G", "B")}
+        found = dataclasses.replace(found, **changes)
+    assert exr.blur_window(found) == WINDOW
+
+
+def test_an_image_is_written_in_a_larger_window(tmp_path):
+    channels = plain_frame() | {"id": np.full((4, 6), 7, np.float32)}
+    like = write_single(tmp_path / "a.exr", channels, origin=(3, 2), display=FULL)
+    image, window = np.full((5, 8, 3), 0.25, np.float32), (2, 2, 8, 5)
+    out = tmp_path / "out.exr"
+    exr.write_image(out, image, like, window=window)
+    assert exr.windows_of(exr.inspect(out), "id") == (window, FULL)
+    np.testing.assert_array_equal(exr.read_image(out), image)
+    for name, outside in (("Z", np.inf), ("id", 0), ("velocity.X", 0)):
+        placed = exr.put_into(channels[name], WINDOW, window, outside)
+        np.testing.assert_array_equal(exr.read_values(out, name), placed)
+    exr.write_image(out, image, like, window=window, sky=0)
+    assert exr.read_values(out, "Z")[0, 0] == 0
+    with pytest.raises(exr.JaxblurIOError, match="the image has 8x5 pixels"):
+        exr.write_image(out, image, like)
+
+
 @pytest.mark.parametrize("option", ["velocity_from", "depth_from"])
 def test_vectors_and_depth_of_another_place_are_refused(tmp_path, option):
     channels = plain_frame(shape=(8, 12))

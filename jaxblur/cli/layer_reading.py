@@ -86,6 +86,7 @@ def _read_place(
     buffers = _with_alpha(path, place, buffers, last)
     if not place.still:
         buffers, motion, selects = strength.apply(here, buffers)
+        exr.warn_cropped(path, buffers)
     return [stack.ReadLayer(path, place.layer, buffers, place.holdout, number)], motion, selects
 
 

@@ -154,7 +154,19 @@ def read(arguments: argparse.Namespace) -> Source:
         group = exr.ColorGroup("", buffers.color_channels, None)
         ranks = exr.read_ranks(arguments.input, group)
         LOG.info("Cryptomattes: %s", ", ".join(each.layer.name for each in ranks))
-    return Source(arguments.input, buffers, states, motion, ranks, selects)
+    return _with_room(arguments, Source(arguments.input, buffers, states, motion, ranks, selects))
+
+
+def _with_room(arguments: argparse.Namespace, source: Source) -> Source:
+    """A frame in a data window that holds its blur; views of one file share theirs."""
+    from jaxblur import exr
+
+    if getattr(arguments, "shares_file", False):
+        exr.warn_cropped(source.path, source.buffers)
+        return source
+    exposure = getattr(arguments, "exposure", None)
+    reach = 1.0 if exposure is None else exposure.reach
+    return placed(source, exr.blur_window(source.buffers, reach))
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -247,11 +259,11 @@ def mismatch(loaded: Loaded, source: Source) -> str:
     return "" if names == others else "has other Cryptomattes"
 
 
-def placed(loaded: Loaded, source: Source) -> Source:
-    """Another frame in the data window of a frame, see `jaxblur.exr.buffers_in`."""
+def placed(source: Source, wanted: tuple[int, int, int, int]) -> Source:
+    """A frame in another data window, see `jaxblur.exr.buffers_in`."""
     from jaxblur import exr
 
-    window, wanted = source.buffers.windows.data, loaded.buffers.windows.data
+    window = source.buffers.windows.data
     if window == wanted:
         return source
     return source._replace(
@@ -337,10 +349,11 @@ def read_truth(arguments: argparse.Namespace, windows: Any, view: str | None) ->
     if layer is None and (eye := view_files.name_of(arguments)) in exr.views_of(info):
         # A view is compared with the truth for the same eye.
         layer = eye
-    channel = exr.choose_color(info, layer).channels[0]
+    channels = exr.choose_color(info, layer).channels
+    truth = exr.read_image(arguments.truth, layer)
     truth = in_window(
-        exr.read_image(arguments.truth, layer),
-        *(arguments.truth, channel, arguments.input, windows),
+        *(truth, arguments.truth, channels[0], arguments.input, windows),
         what="the truth",
+        outside=0 if exr.is_element(truth, channels) else None,
     )
-    return truth, exr.conversion_of(info, channel, arguments.color_space, view)
+    return truth, exr.conversion_of(info, channels[0], arguments.color_space, view)

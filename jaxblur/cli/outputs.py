@@ -228,6 +228,8 @@ def _write_exr(
         unchanged=unchanged,
         changes=loaded.changes,
         decoded=loaded.buffers.decoded,
+        window=loaded.buffers.windows.data,
+        sky=exr.SKY[loaded.buffers.depth_kind],
     )
 
 

@@ -211,7 +211,7 @@ def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:
         if differs := mismatch(loaded, source):
             raise CommandError(f"--{side}: {source.path} {differs}; render both alike.")
         _warn_of_other(arguments, side, loaded, source)
-        neighbors[side] = placed(loaded, source)
+        neighbors[side] = placed(source, loaded.buffers.windows.data)
     return loaded.with_neighbors(neighbors)
 
 
@@ -255,7 +255,7 @@ def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded
         if differs := mismatch(loaded, source):
             raise CommandError(f"--subframes: {source.path} {differs}; render all alike.")
         _check_outside(loaded, source)
-    sources = [placed(loaded, source) for source in sources]
+    sources = [placed(source, loaded.buffers.windows.data) for source in sources]
     frames = []
     for index, (part, source) in enumerate(zip(parts, sources, strict=True)):
         near = {

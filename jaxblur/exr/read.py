@@ -14,7 +14,7 @@ from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy
 
 from .channels import read_channels, read_together
-from .checks import check_speed, refuse_or_zero, warn_cropped, warn_lossy, without_depth
+from .checks import check_speed, refuse_or_zero, warn_lossy, without_depth
 from .choose import (
     ColorGroup,
     borrowed_from,
@@ -26,7 +26,7 @@ from .choose import (
 from .convert import DEPTH_KINDS, as_light, depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
 from .passes import Passes, choose_passes, sharp_layers
-from .windows import Windows, window_words, windows_of
+from .windows import Windows, warn_cropped, window_words, windows_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -55,8 +55,9 @@ class Buffers:
         pass_colors: (H, W, K) their values, or None.
         guide: (H, W, G) colors that show of which surface a pixel is, or None, as in
             `jaxblur.Frame`; not beside passes.
-        decoded: (H, W, K) float32 all channels of the part with the picture, as stored, if
-            `read_buffers` was asked to keep them and has read all of them; else None.
+        decoded: float32 all channels of the part with the picture, as stored and in the data window
+            of the file, if `read_buffers` was asked to keep them and has read all of them; else
+            None.
         sharp_layers: names of layers of color that are not blurred with the picture.
     """
 
@@ -74,7 +75,7 @@ class Buffers:
     pass_channels: tuple[str, ...] = ()
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
     guide: Float[np.ndarray, "height width channels"] | None = None
-    decoded: Float[np.ndarray, "height width channels"] | None = None
+    decoded: Float[np.ndarray, "stored_height stored_width stored"] | None = None
     sharp_layers: tuple[str, ...] = ()
 
     def frame(self) -> Frame:
@@ -135,7 +136,9 @@ def read_frame(
         JaxblurIOError: as for `read_buffers`.
         ValueError: as for `read_buffers`.
     """
-    return read_buffers(path, preset, shutter, **options).frame()
+    buffers = read_buffers(path, preset, shutter, **options)
+    warn_cropped(path, buffers)
+    return buffers.frame()
 
 
 def read_buffers(
@@ -230,7 +233,6 @@ def read_buffers(
     velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
         check_speed(velocity, vector_info.path, guess)
-        warn_cropped(info, group.channels[0], alpha, velocity)
 
     if channel is None:
         kind = "flat"

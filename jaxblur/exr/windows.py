@@ -7,9 +7,14 @@ Renders that are cropped to what they show have another one in every frame.
 from __future__ import annotations
 
 import dataclasses
+import math
+import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from jaxblur._util.errors import JaxblurIOWarning, PathLike
 
 from .choose import component_of
 
@@ -95,15 +100,23 @@ def put_into(
     return placed
 
 
-def is_element(buffers: Buffers) -> bool:
-    """Whether a frame is an element, so that pixels which it does not hold are transparent.
+def is_element(color: np.ndarray, channels: Sequence[str]) -> bool:
+    """Whether a picture is an element, so that pixels which it does not hold are transparent.
 
-    Renderers and compositing cut away what is transparent. A frame without alpha, or with an alpha
-    of 1 everywhere, may be a region of a larger picture.
+    Renderers and compositing cut away what is transparent. A picture without alpha, or with an
+    alpha of 1 everywhere, may be a region of a larger one.
+
+    Args:
+        color: (H, W, C).
+        channels: full names of its channels.
     """
-    names = buffers.color_channels
-    alpha = next((k for k, name in enumerate(names) if component_of(name) == "A"), None)
-    return alpha is not None and bool((buffers.color[..., alpha] < 1).any())
+    alpha = _alpha_of(color, channels)
+    return alpha is not None and bool((alpha < 1).any())
+
+
+def _alpha_of(color: np.ndarray, channels: Sequence[str]) -> np.ndarray | None:
+    found = [k for k, name in enumerate(channels) if component_of(name) == "A"]
+    return color[..., found[0]] if found else None
 
 
 def known_in(buffers: Buffers, wanted: Window) -> Bool[np.ndarray, "height width"]:
@@ -120,7 +133,7 @@ def known_in(buffers: Buffers, wanted: Window) -> Bool[np.ndarray, "height width
     window, display = buffers.windows
     held = np.ones(buffers.depth.shape, bool) if buffers.valid is None else buffers.valid
     outside: ArrayLike = False
-    if is_element(buffers):
+    if is_element(buffers.color, buffers.color_channels):
         outside = put_into(np.ones((display[3], display[2]), bool), display, wanted)
     return put_into(held, window, wanted, outside)
 
@@ -139,7 +152,7 @@ def common_window(first: Buffers, second: Buffers) -> Window:
     here, there = first.windows.data, second.windows.data
     if here == there:
         return here
-    if is_element(first) and is_element(second):
+    if all(is_element(each.color, each.color_channels) for each in (first, second)):
         return overlap(union(here, there), first.windows.display)
     return overlap(here, there)
 
@@ -152,9 +165,9 @@ def buffers_in(buffers: Buffers, wanted: Window) -> Buffers:
         wanted: the other data window.
 
     Returns:
-        The frame there, without ``decoded``; the same buffers if the windows are the same. Pixels
-        that it does not hold are 0, at rest and sky, and those that it does not know are masked,
-        see `known_in`.
+        The frame there, with ``decoded`` as it is; the same buffers if the windows are the same.
+        Pixels that it does not hold are 0, at rest and sky, and those that it does not know are
+        masked, see `known_in`.
     """
     window = buffers.windows.data
     if window == wanted:
@@ -171,8 +184,63 @@ def buffers_in(buffers: Buffers, wanted: Window) -> Buffers:
         depth=put_into(buffers.depth, window, wanted, np.inf),
         valid=None if known.all() else known,
         windows=buffers.windows._replace(data=wanted),
-        decoded=None,
     )
+
+
+def blur_window(buffers: Buffers, reach: float = 1) -> Window:
+    """A data window that holds the blur of an element, as far as the display window goes.
+
+    Args:
+        buffers: a frame.
+        reach: longest time from the frame at which light comes in, half exposures.
+
+    Returns:
+        Its data window, larger at those edges within the display window over which something that
+        is seen moves: by its way beyond them, and a pixel without anything. That of other pictures
+        as it is.
+    """
+    x, y, width, height = buffers.windows.data
+    left, top, right, bottom = (
+        min(math.ceil(way) + 1, room) if way > 0 else 0 for way, room in _beyond(buffers, reach)
+    )
+    return x - left, y - top, width + left + right, height + top + bottom
+
+
+def _beyond(buffers: Buffers, reach: float) -> list[tuple[float, int]]:
+    """How far an element moves over the left, top, right and bottom edge, and its room there."""
+    (x, y, width, height), (left, top, full_width, full_height) = buffers.windows
+    room = x - left, y - top, left + full_width - x - width, top + full_height - y - height
+    alpha = _alpha_of(buffers.color, buffers.color_channels)
+    if max(room) <= 0 or alpha is None or not (alpha < 1).any():
+        return [(0, 0)] * 4
+    row, column = np.nonzero(alpha > 0)
+    motion = np.abs(buffers.velocity[row, column])
+    if buffers.path is not None:
+        motion = np.abs(buffers.path[row, column]).max(axis=1)
+    across, down = np.moveaxis(reach * motion, -1, 0)
+    ways = (across - column, down - row, across - (width - 1 - column), down - (height - 1 - row))
+    return [
+        (float(way.max(initial=0)) if most > 0 else 0, most)
+        for way, most in zip(ways, room, strict=True)
+    ]
+
+
+def warn_cropped(path: PathLike, buffers: Buffers) -> None:
+    """Warn of an element that is cropped so closely that its blur does not fit in its data window.
+
+    Args:
+        path: its file.
+        buffers: it.
+    """
+    beyond = zip(("left", "top", "right", "bottom"), _beyond(buffers, 1), strict=True)
+    if lost := [side for side, (way, _) in beyond if way > 0.5]:
+        warnings.warn(
+            f"{path}: color moves out of the data window, {window_words(buffers.windows.data)}, "
+            f"across its edges ({', '.join(lost)}), and its blur is cut off there; give it the "
+            "full window first: oiiotool IN --croptofull -o OUT.",
+            JaxblurIOWarning,
+            stacklevel=3,
+        )
 
 
 def ranks_in(ranks: Ranks, window: Window, wanted: Window) -> Ranks:

@@ -21,7 +21,7 @@ from .opening import FileStates, open_input
 from .output import STORAGE, check, clamp_half, set_attributes, set_formats, writer
 from .pictures import BITS, LINEAR_BITS, bits_of, write_picture
 from .ranks import ChannelChange
-from .windows import put_into, windows_of
+from .windows import Window, put_into, windows_of
 from .write_like import write_like
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ def write_image(
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
     changes: Sequence[ChannelChange] = (),
-    decoded: Float[np.ndarray, "height width stored"] | None = None,
+    window: Window | None = None,
+    sky: float = np.inf,
+    decoded: Float[np.ndarray, "stored_height stored_width stored"] | None = None,
     color_space: str | None = None,
     view: str | None = None,
     bits: int | None = None,
@@ -82,6 +84,10 @@ def write_image(
             read; if one has changed when the new file is complete, that does not appear.
         changes: other values for pixels of further channels of ``like``, such as the ranks of a
             Cryptomatte; these channels are written even with ``extra="drop"``.
+        window: ``(x, y, width, height)`` of the image in an ``.exr``, if it is not the data window
+            of ``like``. Parts with new channels get it; what ``like`` does not hold of their other
+            channels is 0.
+        sky: the same in depth, which is infinite if it grows with the distance.
         decoded: `Buffers.decoded` of ``like``, which need not be decoded again then.
         color_space: color space of the image, for pictures of integers; that of ``like`` if None.
         view: OpenColorIO view for them, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB if
@@ -124,7 +130,7 @@ def write_image(
     else:
         refuse_overwrite(path, like)
         write_like(
-            *(path, pixels, like, changes, decoded),
+            *(path, pixels, like, changes, decoded, window, sky),
             layer=layer,
             color_channels=color_channels,
             keep_extra=extra == "keep",

@@ -124,7 +124,10 @@ class FrameWork:
         )
         if not seen:
             return []
-        return [placed(*each) for each in zip(frames, neighbor, strict=True)]
+        return [
+            placed(source, loaded.buffers.windows.data)
+            for loaded, source in zip(frames, neighbor, strict=True)
+        ]
 
     def _sees(self, frame: int, loaded: Loaded, number: int, neighbor: Source) -> bool:
         """Whether a frame may see a neighbor; if not, a message says why."""
