@@ -51,9 +51,14 @@ def frames_in(folder, make, windows, known):
 def blur_in_python(frames, seed=None):
     size = frames[2].depth.shape
     noise = None if seed is None else jaxblur.noise.make_noise("ign", *size, seed)
-    near = dict(before=frames.get(1), after=frames.get(3))
-    parameters = jaxblur.LayeredParameters()
-    blurred = jaxblur.layered(frames[2], parameters, settings=SETTINGS, noise=noise, **near)
+    blurred = jaxblur.layered(
+        frames[2],
+        jaxblur.LayeredParameters(),
+        settings=SETTINGS,
+        noise=noise,
+        before=frames.get(1),
+        after=frames.get(3),
+    )
     return np.asarray(blurred)
 
 
