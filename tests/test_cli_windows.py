@@ -49,8 +49,8 @@ def frames_in(folder, make, windows, known):
 
 
 def blur_in_python(frames, seed=None):
-    size = frames[2].depth.shape
-    noise = None if seed is None else jaxblur.noise.make_noise("ign", *size, seed)
+    height, width = frames[2].depth.shape
+    noise = None if seed is None else jaxblur.noise.make_noise("ign", height, width, seed)
     blurred = jaxblur.layered(
         frames[2],
         jaxblur.LayeredParameters(),
@@ -411,6 +411,24 @@ def test_views_of_one_file_keep_their_window(tmp_path):
     assert outcome.status == 0, outcome
     assert "its blur is cut off there" in outcome.err
     assert exr.windows_of(exr.inspect(out), "R").data == TIGHT
+
+
+def test_views_in_parts_keep_their_own_windows(tmp_path):
+    windows = {"left": (2, 3, 20, 14), "right": (5, 1, 20, 14)}
+    parts = []
+    for view, window in windows.items():
+        part = part_of(channels_at(2), window)
+        parts.append(
+            (make_spec(part, name=view, view=view, origin=window[:2], display=DISPLAY), part)
+        )
+    path, out = write_parts(tmp_path / "a.exr", parts), tmp_path / "out.exr"
+    outcome = run("blur", path, "-o", out, "--views", "all", *FAST)
+    assert outcome.status == 0, outcome
+    before, after = exr.inspect(path), exr.inspect(out)
+    assert [part.data_window for part in after.parts] == [*windows.values()]
+    for name in ("left.Z", "right.Z"):
+        assert name in before.channel_names
+        np.testing.assert_array_equal(exr.read_values(out, name), exr.read_values(path, name))
 
 
 @pytest.mark.slow

@@ -69,12 +69,19 @@ def write_like(
     with open_input(like) as source:
         info = describe(source, like)
         names = choose_color(info, layer, color_channels).channels
-        window = window or info.parts[info.channel(names[0]).part].data_window
-        _check_model(path, image, info, names, window)
+        stored = info.parts[info.channel(names[0]).part].data_window
+        _check_model(path, image, info, names, window or stored)
         if keep_extra:
             _refuse_deep(path, info)
             _refuse_equal_names(path, info)
-        new = _New(image, window, sky, names, changes, _decoded(info, names, decoded))
+        new = _New(
+            image,
+            None if window == stored else window,
+            sky,
+            names,
+            changes,
+            _decoded(info, names, decoded),
+        )
         plans = _plan_parts(source, info, new, keep_extra, dtype, attributes)
         with replacing(path, last_check) as temporary:
             _write_parts(path, temporary, source, info, plans, new, mend)
@@ -145,7 +152,7 @@ class _New(NamedTuple):
 
     Attributes:
         image: (H, W, C).
-        window: data window of the image.
+        window: data window of the image; None for that of the model.
         sky: depth where the model has none.
         color: full names of the channels that it replaces.
         changes: of further channels.
@@ -153,7 +160,7 @@ class _New(NamedTuple):
     """
 
     image: np.ndarray
-    window: Window
+    window: Window | None
     sky: float
     color: Sequence[str]
     changes: Sequence[ChannelChange]
@@ -222,7 +229,7 @@ def _plan_part(
     is_merged = bool(replaced or changed)
     uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if is_merged else ()
     header = oiio.ImageSpec(spec)
-    if is_merged:
+    if is_merged and new.window is not None:
         header.x, header.y, header.width, header.height = new.window
     if len(kept) < len(part.channels):
         header.nchannels = len(kept)
@@ -388,13 +395,14 @@ def _merged(
         old = read_span(source, info, plan.part, 0, len(channels), "float")
         pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
     _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
-    window = info.parts[plan.part].data_window
+    stored = info.parts[plan.part].data_window
+    window = new.window or stored
     outside = [new.sky if is_depth(channels[index].name) else 0 for index in plan.keep]
-    pixels = put_into(pixels, window, new.window, outside)
+    pixels = put_into(pixels, stored, window, outside)
     for position in plan.uint:
         index = plan.keep[position]
         bits = read_span(source, info, plan.part, index, index + 1, "uint")
-        pixels[..., position] = put_into(bits[..., 0], window, new.window).view(np.float32)
+        pixels[..., position] = put_into(bits[..., 0], stored, window).view(np.float32)
     for position, channel in plan.color:
         pixels[..., position] = new.image[..., channel]
     flat = pixels.reshape(-1, pixels.shape[-1])
