@@ -441,6 +441,27 @@ def test_layers_say_that_a_blur_is_cut_off(tmp_path):
     assert outcome.err.count("its blur is cut off there") == 1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [("--then", "defocus"), ()])
+def test_a_cropped_element_out_of_focus_is_not_cut_off(tmp_path, options):
+    lens = ("--focus", "2", "--f-number", "0.8", "--focal-length", "70", "--unit", "0.5")
+    channels = element_at(2) | {"velocity.X": np.zeros(SIZE, np.float32)}
+    sums = []
+    for window in (TIGHT, DISPLAY):
+        path = write_part(tmp_path / "a.exr", channels, window)
+        command = ("blur", path, "-o", tmp_path / "out.exr", "--overwrite", *FEW, *lens, *options)
+        outcome = run(*command)
+        assert outcome.status == 0, outcome
+        sums.append(exr.read_image(tmp_path / "out.exr").sum())
+    radius = float(outcome.err.partition("up to a radius of ")[2].partition(" px")[0])
+    path = write_part(tmp_path / "a.exr", channels, TIGHT)
+    assert run(*command).status == 0
+    x, y, width, height = exr.windows_of(exr.inspect(tmp_path / "out.exr"), "R").data
+    assert radius > 2 and x <= 17 - radius and x + width >= 24 + radius
+    assert y <= 6 - radius and y + height >= 15 + radius
+    np.testing.assert_allclose(*sums, rtol=0.02)
+
+
 def test_a_cropped_element_at_rest_keeps_its_window(tmp_path):
     path = write_part(tmp_path / "a.exr", element_at(2), TIGHT)
     out = tmp_path / "out.exr"

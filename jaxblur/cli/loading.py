@@ -166,7 +166,8 @@ def _with_room(arguments: argparse.Namespace, source: Source) -> Source:
         return source
     exposure = getattr(arguments, "exposure", None)
     reach = 1.0 if exposure is None else exposure.reach
-    return placed(source, exr.blur_window(source.buffers, reach))
+    spread = posts.spread_of(arguments, source.buffers)
+    return placed(source, exr.blur_window(source.buffers, reach, spread))
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:

@@ -277,6 +277,16 @@ def largest_disc(depth: Any, lens: Lens) -> float:
     return float(np.abs(lens.radius_at_infinity(depth.shape[1]) * (1 - lens.focus / depth)).max())
 
 
+def spread_of(arguments: argparse.Namespace, buffers: Any) -> float:
+    """The radius of the largest disc by which a lens blurs a frame, sky apart; 0 without a lens."""
+    import numpy as np
+
+    if not looks_through(arguments) and "defocus" not in arguments.posts:
+        return 0.0
+    lens = lens_of(arguments, buffers.windows)
+    return largest_disc(np.where(np.isfinite(buffers.depth), buffers.depth, lens.focus), lens)
+
+
 def _defocused(arguments: argparse.Namespace, frame: Any, windows: Any) -> Any:
     import numpy as np
 

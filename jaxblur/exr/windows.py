@@ -187,27 +187,29 @@ def buffers_in(buffers: Buffers, wanted: Window) -> Buffers:
     )
 
 
-def blur_window(buffers: Buffers, reach: float = 1) -> Window:
+def blur_window(buffers: Buffers, reach: float = 1, spread: float = 0) -> Window:
     """A data window that holds the blur of an element, as far as the display window goes.
 
     Args:
         buffers: a frame.
         reach: longest time from the frame at which light comes in, half exposures.
+        spread: radius of the largest disc by which a lens blurs it, pixels.
 
     Returns:
         Its data window, larger at those edges within the display window over which something that
-        is seen moves: by its way beyond them, and a pixel without anything. That of other pictures
+        is seen goes: by its way beyond them, and a pixel without anything. That of other pictures
         as it is.
     """
     x, y, width, height = buffers.windows.data
     left, top, right, bottom = (
-        min(math.ceil(way) + 1, room) if way > 0 else 0 for way, room in _beyond(buffers, reach)
+        min(math.ceil(way) + 1, room) if way > 0 else 0
+        for way, room in _beyond(buffers, reach, spread)
     )
     return x - left, y - top, width + left + right, height + top + bottom
 
 
-def _beyond(buffers: Buffers, reach: float) -> list[tuple[float, int]]:
-    """How far an element moves over the left, top, right and bottom edge, and its room there."""
+def _beyond(buffers: Buffers, reach: float, spread: float) -> list[tuple[float, int]]:
+    """How far an element goes over the left, top, right and bottom edge, and its room there."""
     (x, y, width, height), (left, top, full_width, full_height) = buffers.windows
     room = x - left, y - top, left + full_width - x - width, top + full_height - y - height
     alpha = _alpha_of(buffers.color, buffers.color_channels)
@@ -217,7 +219,7 @@ def _beyond(buffers: Buffers, reach: float) -> list[tuple[float, int]]:
     motion = np.abs(buffers.velocity[row, column])
     if buffers.path is not None:
         motion = np.abs(buffers.path[row, column]).max(axis=1)
-    across, down = np.moveaxis(reach * motion, -1, 0)
+    across, down = np.moveaxis(reach * motion + spread, -1, 0)
     ways = (across - column, down - row, across - (width - 1 - column), down - (height - 1 - row))
     return [
         (float(way.max(initial=0)) if most > 0 else 0, most)
@@ -232,7 +234,7 @@ def warn_cropped(path: PathLike, buffers: Buffers) -> None:
         path: its file.
         buffers: it.
     """
-    beyond = zip(("left", "top", "right", "bottom"), _beyond(buffers, 1), strict=True)
+    beyond = zip(("left", "top", "right", "bottom"), _beyond(buffers, 1, 0), strict=True)
     if lost := [side for side, (way, _) in beyond if way > 0.5]:
         warnings.warn(
             f"{path}: color moves out of the data window, {window_words(buffers.windows.data)}, "
