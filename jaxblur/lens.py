@@ -26,7 +26,9 @@ class Lens:
         focus: F, depth of the plane in focus, scene units.
         f_number: N, focal length by the diameter of the aperture.
         focal_length: f, millimeters.
-        sensor_width: s, millimeters of the sensor that the frame's width shows.
+        sensor_width: s, millimeters of the sensor that the frame's width shows. Of an EXR file the
+            display window is what the sensor shows: for a frame of another data window multiply by
+            the width of that and divide by the width of the display window.
         unit: meters of a scene unit.
     """
 

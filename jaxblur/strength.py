@@ -44,7 +44,9 @@ class MotionLimits:
 
     Attributes:
         shutter: longest exposure in frames.
-        width: longest blur, from its one end to the other, as a share of the width of the frame.
+        width: longest blur, from its one end to the other, as a share of the width of the frame,
+            which is that of its arrays: where they hold another data window than the display
+            window of a file, scale it by the widths of the two.
         source: who recommends it.
     """
 

@@ -126,25 +126,25 @@ def test_neighbors_go_with_the_other_options(shot):
     ("given", "words"),
     [
         (("--before", "none.exr"), ("none.exr: no such file",)),
-        (("--before", "wide.exr"), ("--before: ", "8x6 pixels", "36x20")),
+        (("--before", "wide.exr"), ("--before: ", "8x6 at", "36x20")),
         (("--after", "gray.exr"), ("--after: ", "1 color channels", "3")),
         (("--after", "in.0003.exr", "--filter", "mcguire2012"), ("--after: ", "--filter layered")),
         (("--after", "in.0003.exr", "--shutter", "0"), ("--after: --shutter 0",)),
         (("--before", "in.0001.exr", "--depth-from", "in.0002.exr"), ("--depth-from", "sequence")),
         (("--before", "out.exr"), ("is an input too",)),
-        (("--before", "in.0002.exr"), ("--before: ", "in.0002.exr is the input too")),
+        (("--before", "in.0002.exr"), ("--before: ", "in.0002.exr is the frame itself")),
         (
             ("--before", "in.0001.exr", "--after", "./in.0001.exr"),
             (
                 "--after: ",
-                "in.0001.exr is given as --before too; give the frame after, or leave it out",
+                "in.0001.exr is --before too; give the frame after, or leave it out",
             ),
         ),
         (("--neighbors", "off"), ("--neighbors: is for sequences",)),
         (("--subframes", "in.####.exr", "--after", "in.0003.exr"), ("sub-frames are neighbors",)),
         (("--subframes", "none.####.exr"), ("none.####.exr: no such files",)),
         (("--subframes", "in.0001.exr"), ("name.####.exr",)),
-        (("--subframes", "odd.#.exr"), ("--subframes: ", "8x6 pixels")),
+        (("--subframes", "odd.#.exr"), ("--subframes: ", "8x6 at")),
         (("--subframes", "in.####.exr", "--shutter", "0"), ("--subframes: --shutter 0",)),
     ],
     ids=lambda value: " ".join(value[:3]),
@@ -239,7 +239,7 @@ def test_a_neighbor_of_another_size_is_not_used(shot):
     path, command = shot
     write_single(path / "in.0003.exr", {k: c[:6, :8] for k, c in channels_at(3).items()})
     outcome = run(*command, "--frames", "2")
-    assert "blurred without frame 3: " in outcome.err and "8x6 pixels" in outcome.err
+    assert "blurred without frame 3: " in outcome.err and "8x6 at" in outcome.err
     check(path, 2, 1)
 
 

@@ -80,7 +80,7 @@ def test_mattes_may_be_in_a_file_of_their_own(tmp_path):
     write_single(mattes, small, **crypto_notes())
     options = ("--scale-motion", "crypto:/hero=0", "--matte-from", mattes)
     error = refused("blur", path, "-o", tmp_path / "x.exr", *BLUR, *options)
-    assert "m.exr has 36x4 pixels" in error
+    assert "the matte of --scale-motion crypto:/hero=0 has the pixels 36x4 at (0, 0)" in error
 
 
 @pytest.mark.parametrize(

@@ -150,6 +150,7 @@ def cropped(tmp_path, velocity, origin, alpha=True):
         channels[f"velocity.{axis}"][1, 4] = part
     if alpha:
         channels["A"] = np.ones_like(channels["R"])
+        channels["A"][0, 0] = 0.5
     return write_single(tmp_path / "a.exr", channels, origin=origin, display=(0, 0, 12, 8))
 
 
@@ -166,7 +167,7 @@ def test_an_element_whose_blur_leaves_its_data_window_is_reported(tmp_path, velo
     path = cropped(tmp_path, velocity, origin=(3, 2))
     words = rf"6x4 at \(3, 2\), across its edges \({sides}\).*--croptofull"
     with pytest.warns(exr.JaxblurIOWarning, match=words):
-        exr.read_buffers(path, shutter=2)
+        exr.read_frame(path, shutter=2)
 
 
 @pytest.mark.parametrize(
@@ -174,4 +175,4 @@ def test_an_element_whose_blur_leaves_its_data_window_is_reported(tmp_path, velo
     [((1.4, 0), (3, 2), True), ((1.6, 0), (6, 2), True), ((1.6, 0), (3, 2), False)],
 )
 def test_blur_that_stays_within_or_leaves_the_picture_is_not(tmp_path, velocity, origin, alpha):
-    exr.read_buffers(cropped(tmp_path, velocity, origin, alpha), shutter=2)
+    exr.read_frame(cropped(tmp_path, velocity, origin, alpha), shutter=2)

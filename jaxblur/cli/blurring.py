@@ -172,4 +172,5 @@ def after_blur(
         )
 
     velocity = None if chosen.name == PASSED_THROUGH else buffers.velocity
-    return posts.apply(arguments, image, depth, buffers.color.shape[2], hint, velocity)
+    windows = buffers.windows
+    return posts.apply(arguments, image, depth, buffers.color.shape[2], windows, hint, velocity)

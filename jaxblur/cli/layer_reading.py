@@ -86,6 +86,7 @@ def _read_place(
     buffers = _with_alpha(path, place, buffers, last)
     if not place.still:
         buffers, motion, selects = strength.apply(here, buffers)
+        exr.warn_cropped(path, buffers)
     return [stack.ReadLayer(path, place.layer, buffers, place.holdout, number)], motion, selects
 
 
@@ -137,6 +138,7 @@ def _read_still(arguments: argparse.Namespace) -> Any:
     still = np.zeros((*size, 2), np.float32)
     return exr.Buffers(
         *(color, np.ones(size, np.float32), still, None, group.channels, None, "flat", guess),
+        exr.windows_of(info, group.channels[0]),
         pass_channels=passes,
         pass_colors=values,
     )
@@ -218,13 +220,14 @@ def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
     from jaxblur import exr
 
     first = layers[0]
-    window = stack.window_of(first)
+    window = first.buffers.windows.data
     for layer in layers[1:]:
-        if (other := stack.window_of(layer)) != window:
+        if (other := layer.buffers.windows.data) != window:
             raise exr.JaxblurIOError(
                 layer.path,
-                f"{_about(layer)}the data window is {_words(other)}, but that of {first.name} is "
-                f"{_words(window)}; give both the same, as oiiotool IN --croptofull -o OUT does.",
+                f"{_about(layer)}the data window is {exr.window_words(other)}, but that of "
+                f"{first.name} is {exr.window_words(window)}; give both the same, as oiiotool IN "
+                "--croptofull -o OUT does.",
             )
         count, expected = layer.buffers.color.shape[-1], first.buffers.color.shape[-1]
         if count != expected:
@@ -271,8 +274,3 @@ def _alpha_of(layer: stack.ReadLayer) -> Any:
     """(H, W) alpha of a layer."""
     names = layer.buffers.color_channels
     return layer.buffers.color[..., next(k for k, name in enumerate(names) if _is_alpha(name))]
-
-
-def _words(window: tuple[int, int, int, int]) -> str:
-    x, y, width, height = window
-    return f"{width}x{height} at ({x}, {y})"

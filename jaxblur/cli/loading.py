@@ -14,6 +14,7 @@ from .arguments import CommandError
 from .colors import shown_colors
 from .disparity import disparity_of
 from .shutter import Exposure
+from .windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -153,7 +154,20 @@ def read(arguments: argparse.Namespace) -> Source:
         group = exr.ColorGroup("", buffers.color_channels, None)
         ranks = exr.read_ranks(arguments.input, group)
         LOG.info("Cryptomattes: %s", ", ".join(each.layer.name for each in ranks))
-    return Source(arguments.input, buffers, states, motion, ranks, selects)
+    return _with_room(arguments, Source(arguments.input, buffers, states, motion, ranks, selects))
+
+
+def _with_room(arguments: argparse.Namespace, source: Source) -> Source:
+    """A frame in a data window that holds its blur; views of one file share theirs."""
+    from jaxblur import exr
+
+    if getattr(arguments, "shares_file", False):
+        exr.warn_cropped(source.path, source.buffers)
+        return source
+    exposure = getattr(arguments, "exposure", None)
+    reach = 1.0 if exposure is None else exposure.reach
+    spread = posts.spread_of(arguments, source.buffers)
+    return placed(source, exr.blur_window(source.buffers, reach, spread))
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -177,7 +191,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
 
     source = source or read(arguments)
     buffers = source.buffers
-    truth = shown_truth(arguments, buffers.color.shape)
+    truth = shown_truth(arguments, buffers.windows)
     velocity = buffers.velocity
     exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
@@ -196,7 +210,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         source.states,
         shutter=arguments.shutter,
         exposure=exposure,
-        lens=posts.lens_of(arguments) if posts.looks_through(arguments) else None,
+        lens=posts.lens_of(arguments, buffers.windows) if posts.looks_through(arguments) else None,
         motion=source.motion,
         ranks=source.ranks,
         selects=source.selects,
@@ -226,18 +240,39 @@ def tell_rest(arguments: argparse.Namespace, settings: Settings) -> None:
 
 
 def mismatch(loaded: Loaded, source: Source) -> str:
-    """How size or channels of another frame differ from those of a frame; empty if they agree."""
-    (height, width, channels), (rows, columns, others) = (
-        buffers.color.shape for buffers in (loaded.buffers, source.buffers)
-    )
-    if (height, width, channels) == (rows, columns, others):
-        if source.buffers.pass_channels != loaded.buffers.pass_channels:
-            return "has other color passes"
-        names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
-        return "" if names == others else "has other Cryptomattes"
-    return (
-        f"has {columns}x{rows} pixels and {others} color channels, but the frame has "
-        f"{width}x{height} and {channels}"
+    """How picture or channels of another frame differ from those of a frame; empty if they agree.
+
+    Data windows may differ, see `placed`.
+    """
+    from jaxblur import exr
+
+    own, other = loaded.buffers, source.buffers
+    windows = own.windows, other.windows
+    if windows[0].data != windows[1].data and windows[0].display != windows[1].display:
+        wanted, given = (exr.window_words(each.display) for each in windows)
+        return f"has a display window of {given}, but the frame has one of {wanted}"
+    wanted, given = own.color.shape[2], other.color.shape[2]
+    if wanted != given:
+        return f"has {given} color channels, but the frame has {wanted}"
+    if other.pass_channels != own.pass_channels:
+        return "has other color passes"
+    names, others = ([r.layer.name for r in each.ranks] for each in (loaded, source))
+    return "" if names == others else "has other Cryptomattes"
+
+
+def placed(source: Source, wanted: tuple[int, int, int, int]) -> Source:
+    """A frame in another data window, see `jaxblur.exr.buffers_in`."""
+    from jaxblur import exr
+
+    window = source.buffers.windows.data
+    if window == wanted:
+        return source
+    return source._replace(
+        buffers=exr.buffers_in(source.buffers, wanted),
+        ranks=tuple(exr.ranks_in(ranks, window, wanted) for ranks in source.ranks),
+        layers=tuple(
+            layer._replace(buffers=exr.buffers_in(layer.buffers, wanted)) for layer in source.layers
+        ),
     )
 
 
@@ -264,44 +299,42 @@ def _warn_of_rest(arguments: argparse.Namespace, source: Source, fastest: float)
     LOG.warning("%s: nothing moves, so nothing is blurred; %s.", file, why)
 
 
-def shown_truth(arguments: argparse.Namespace, shape: tuple[int, ...]) -> Any:
+def shown_truth(arguments: argparse.Namespace, windows: Any) -> Any:
     """Read the truth for scores, if the arguments name one.
 
     Args:
         arguments: of the command.
-        shape: of the picture of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
 
     Returns:
         (H, W, C) linear light that a screen shows, or None.
 
     Raises:
         JaxblurIOError: the file is missing, damaged or holds something else.
-        CommandError: it has another size than the frame, or one that has no scores.
+        CommandError: it does not hold all pixels of the frame, or these are too few for scores.
     """
     if arguments.truth is None:
         return None
     from jaxblur import metrics
 
-    height, width = shape[:2]
+    *_, width, height = windows.data
     if min(height, width) < (least := metrics.SSIM_WINDOW):
         raise CommandError(
             f"--truth: {arguments.input} has {width}x{height} pixels, but scores need "
             f"{least}x{least} or more (the window of SSIM); leave it out."
         )
-    stored, colors = read_truth(arguments, shape, arguments.view)
+    stored, colors = read_truth(arguments, windows, arguments.view)
     if not colors.is_identity:
         LOG.info("colors of the truth: %s", colors.words)
     return colors.light(stored)
 
 
-def read_truth(
-    arguments: argparse.Namespace, shape: tuple[int, ...], view: str | None
-) -> tuple[Any, Any]:
-    """Read the truth that the arguments name.
+def read_truth(arguments: argparse.Namespace, windows: Any, view: str | None) -> tuple[Any, Any]:
+    """Read the truth that the arguments name, for the pixels of the frame.
 
     Args:
         arguments: of the command.
-        shape: of the picture of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
         view: OpenColorIO view that it is to be shown in, or None.
 
     Returns:
@@ -309,7 +342,7 @@ def read_truth(
 
     Raises:
         JaxblurIOError: the file is missing, damaged or holds something else.
-        CommandError: it has another size than the frame.
+        CommandError: it does not hold all pixels of the frame.
     """
     from jaxblur import exr
 
@@ -317,12 +350,11 @@ def read_truth(
     if layer is None and (eye := view_files.name_of(arguments)) in exr.views_of(info):
         # A view is compared with the truth for the same eye.
         layer = eye
-    channel = exr.choose_color(info, layer).channels[0]
+    channels = exr.choose_color(info, layer).channels
     truth = exr.read_image(arguments.truth, layer)
-    if truth.shape[:2] != shape[:2]:
-        (rows, columns), (height, width) = truth.shape[:2], shape[:2]
-        raise CommandError(
-            f"{arguments.truth}: the truth has {columns}x{rows} pixels, but {arguments.input} has "
-            f"{width}x{height}; render both with the same data window."
-        )
-    return truth, exr.conversion_of(info, channel, arguments.color_space, view)
+    truth = in_window(
+        *(truth, arguments.truth, channels[0], arguments.input, windows),
+        what="the truth",
+        outside=0 if exr.is_element(truth, channels) else None,
+    )
+    return truth, exr.conversion_of(info, channels[0], arguments.color_space, view)

@@ -43,9 +43,9 @@ def add_output_option(parser: argparse.ArgumentParser) -> None:
         type=file_path,
         required=True,
         metavar="OUT",
-        help=".exr; or a picture, of several views one for each (OUT.left.png): .png or .jpg as a "
-        "screen shows it (sRGB, clipped to 0..1), .tif with the linear light as floats; never an "
-        "input",
+        help=".exr; or a picture of the display window, of several views one for each "
+        "(OUT.left.png): .png or .jpg as a screen shows it (sRGB, clipped to 0..1), .tif with the "
+        "linear light as floats; never an input",
     )
     parser.add_argument(
         "--bits",
@@ -199,6 +199,7 @@ def _write_picture(
     if exr.bits_of(output, arguments.bits) != exr.LINEAR_BITS:
         picture = colors.light(picture)
         notes = dict(notes) | ({} if colors.is_identity else {exr.COLORS: colors.words})
+    picture = exr.put_into(picture, *loaded.buffers.windows)
     exr.write_image(output, picture, attributes=notes, unchanged=unchanged, bits=arguments.bits)
 
 
@@ -231,6 +232,8 @@ def _write_exr(
         unchanged=unchanged,
         changes=loaded.changes,
         decoded=loaded.buffers.decoded,
+        window=loaded.buffers.windows.data,
+        sky=exr.SKY[loaded.buffers.depth_kind],
     )
 
 

@@ -82,7 +82,12 @@ def add_options(
     for name, metavar, text, value in (
         ("--f-number", "N", "focal length by diameter of the aperture", usual.f_number),
         ("--focal-length", "MM", "of the lens, millimeters", usual.focal_length),
-        ("--sensor", "MM", "width of the sensor that the frame shows", usual.sensor_width),
+        (
+            "--sensor",
+            "MM",
+            "width of the sensor, which is that of the display window",
+            usual.sensor_width,
+        ),
         ("--unit", "M", "meters of a scene unit", usual.unit),
     ):
         group.add_argument(
@@ -163,8 +168,14 @@ def _needless(arguments: argparse.Namespace, name: str) -> str:
     return f"{name}: only {option} defocus takes it; add that, or leave it out."
 
 
-def lens_of(arguments: argparse.Namespace) -> Lens:
-    """The lens that the options describe."""
+def lens_of(arguments: argparse.Namespace, windows: Any = None) -> Lens:
+    """The lens that the options describe.
+
+    Args:
+        arguments: of the command.
+        windows: `jaxblur.exr.Windows` of a frame, to have the lens for its pixels: the sensor shows
+            the display window. None for the lens as it is given.
+    """
     lens = Lens.preset(arguments.lens, arguments.focus) if arguments.lens else Lens(arguments.focus)
     given = {
         "f_number": arguments.f_number,
@@ -172,7 +183,11 @@ def lens_of(arguments: argparse.Namespace) -> Lens:
         "sensor_width": arguments.sensor,
         "unit": arguments.unit,
     }
-    return dataclasses.replace(lens, **{k: v for k, v in given.items() if v is not None})
+    lens = dataclasses.replace(lens, **{k: v for k, v in given.items() if v is not None})
+    if windows is None:
+        return lens
+    share = windows.data[2] / windows.display[2]
+    return dataclasses.replace(lens, sensor_width=lens.sensor_width * share)
 
 
 def needs_depth(arguments: argparse.Namespace) -> bool:
@@ -185,6 +200,7 @@ def apply(
     image: Any,
     depth: Any,
     picture: int,
+    windows: Any,
     hint: Any = None,
     velocity: Any = None,
 ) -> Any:
@@ -196,6 +212,7 @@ def apply(
             by the same weights.
         depth: (H, W), or None where no post looks at it.
         picture: channels of the picture.
+        windows: `jaxblur.exr.Windows` of the frame.
         hint: function that gives (H, W) luma for `HINTED`; None where nothing was blurred.
         velocity: (H, W, 2) by which it was blurred, pixels; None where nothing was.
 
@@ -229,7 +246,7 @@ def apply(
         if name == REBLUR:
             color = posts.reblur(color, frame)
         elif name == "defocus":
-            color = _defocused(arguments, frame)
+            color = _defocused(arguments, frame, windows)
         elif name == "fxaa":
             color = posts.fxaa(color)
         elif name == HINTED:
@@ -260,12 +277,22 @@ def largest_disc(depth: Any, lens: Lens) -> float:
     return float(np.abs(lens.radius_at_infinity(depth.shape[1]) * (1 - lens.focus / depth)).max())
 
 
-def _defocused(arguments: argparse.Namespace, frame: Any) -> Any:
+def spread_of(arguments: argparse.Namespace, buffers: Any) -> float:
+    """The radius of the largest disc by which a lens blurs a frame, sky apart; 0 without a lens."""
+    import numpy as np
+
+    if not looks_through(arguments) and "defocus" not in arguments.posts:
+        return 0.0
+    lens = lens_of(arguments, buffers.windows)
+    return largest_disc(np.where(np.isfinite(buffers.depth), buffers.depth, lens.focus), lens)
+
+
+def _defocused(arguments: argparse.Namespace, frame: Any, windows: Any) -> Any:
     import numpy as np
 
     from jaxblur import posts
 
-    lens = lens_of(arguments)
+    lens = lens_of(arguments, windows)
     largest = largest_disc(np.asarray(frame.depth), lens)
     radius = next((step for step in RADII if step >= largest), RADII[-1])
     LOG.info("defocus: discs up to a radius of %.1f px", largest)

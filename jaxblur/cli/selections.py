@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from jaxblur._util.text import nearest
 
 from .arguments import CommandError, from_zero
+from .windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -36,37 +37,54 @@ class Scale(NamedTuple):
     text: str
 
 
-def select(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
+def select(
+    source: pathlib.Path, scale: Scale, frame: pathlib.Path, windows: Any
+) -> tuple[Any, bool]:
     """What one ``--scale-motion`` does to a frame.
 
     Args:
-        source: file with the mattes.
+        source: file with the mattes; outside of their data window nothing is selected.
         scale: the option.
+        frame: file of the frame.
+        windows: `jaxblur.exr.Windows` of the frame.
 
     Returns:
         A factor, or (H, W) one for each pixel; and whether it is for any pixel. If not, a warning
         says what there is.
 
     Raises:
-        CommandError: there is no such channel, or it holds NaN or infinity.
+        CommandError: there is no such channel, it holds NaN or infinity, or it is of another
+            picture.
         JaxblurIOError: there is no such Cryptomatte, or no such name in it.
     """
+    if not scale.kind:
+        return scale.factor, True
+    from jaxblur import exr
+
+    info = exr.inspect(source)
+    if scale.kind != "crypto" and scale.name not in info.channel_names:
+        names = ", ".join(info.channel_names)
+        raise CommandError(
+            f"--scale-motion {scale.text}: {source} has no channel "
+            f"{scale.name}{nearest(scale.name, info.channel_names)}; it holds {names}."
+        )
+    factors, selects = _factors(source, scale)
+    channel = scale.name
+    if scale.kind == "crypto":
+        channel = exr.cryptomatte_layers(source)[0].channels[0]
+    what = f"the matte of --scale-motion {scale.text}"
+    return in_window(factors, source, channel, frame, windows, what=what, outside=1), selects
+
+
+def _factors(source: pathlib.Path, scale: Scale) -> tuple[Any, bool]:
+    """A factor for each pixel of the file with the mattes, and whether it is for any pixel."""
     import numpy as np
 
     from jaxblur import exr
 
-    if not scale.kind:
-        return scale.factor, True
     if scale.kind == "crypto":
         share = exr.read_cryptomatte(source, scale.name)
     else:
-        info = exr.inspect(source)
-        if scale.name not in info.channel_names:
-            names = ", ".join(info.channel_names)
-            raise CommandError(
-                f"--scale-motion {scale.text}: {source} has no channel "
-                f"{scale.name}{nearest(scale.name, info.channel_names)}; it holds {names}."
-            )
         share = exr.read_values(source, scale.name)
     if not np.isfinite(share).all():
         raise CommandError(f"--scale-motion {scale.text}: NaN or infinity in {source}; repair it.")
@@ -93,12 +111,6 @@ def _in_words(names: list[str]) -> str:
         return "nothing"
     more = len(names) - LISTED
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
-
-
-def size_of(values: Any) -> str:
-    """Width and height of an image, as files give them."""
-    height, width = values.shape
-    return f"{width}x{height}"
 
 
 def parse_scale(text: str) -> Scale:

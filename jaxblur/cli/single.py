@@ -15,7 +15,7 @@ from .choice import Choice, choose
 from .compute import start_jax
 from .console import print_line, print_table
 from .filtering import require_neighbors, takes_neighbors
-from .loading import Loaded, load, mismatch, read, tell_rest
+from .loading import Loaded, Source, load, mismatch, placed, read, tell_rest
 from .progress import messages_once
 from .scores import SCORE_COLUMNS, scores_of, view_rows
 from .shutter import option_of
@@ -209,7 +209,38 @@ def _load(arguments: argparse.Namespace, asked: Choice) -> Loaded:
     for side, source in neighbors.items():
         if differs := mismatch(loaded, source):
             raise CommandError(f"--{side}: {source.path} {differs}; render both alike.")
+        _warn_of_other(arguments, side, loaded, source)
+        neighbors[side] = placed(source, loaded.buffers.windows.data)
     return loaded.with_neighbors(neighbors)
+
+
+def _warn_of_other(
+    arguments: argparse.Namespace, side: str, loaded: Loaded, source: Source
+) -> None:
+    """Warn of a neighbor that is hardly the frame before or after.
+
+    A sequence does not use such a frame. One that is named is used: that is the way to overrule
+    the test.
+    """
+    from jaxblur.sequence import frame_number, is_cut, with_frame_number
+
+    own, other = frame_number(arguments.input), frame_number(source.path)
+    if own is not None and other is not None:
+        alike = with_frame_number(arguments.input, other) == source.path
+        if alike and (other < own) != (side == "before"):
+            LOG.warning(
+                "--%s: by its number %s is not %s %s; it is used as if it were: check the option.",
+                *(side, source.path, side, arguments.input),
+            )
+    first, second = source.buffers, loaded.buffers
+    if side == "after":
+        first, second = second, first
+    if is_cut(first, second, arguments.shutter):
+        LOG.warning(
+            "--%s: what %s and %s show differs too much for frames next to each other, as at a "
+            "cut; it is used as it is: check the file, or leave it out.",
+            *(side, source.path, arguments.input),
+        )
 
 
 def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> list[Loaded]:
@@ -222,6 +253,8 @@ def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded
     for source in sources:
         if differs := mismatch(loaded, source):
             raise CommandError(f"--subframes: {source.path} {differs}; render all alike.")
+        _check_outside(loaded, source)
+    sources = [placed(source, loaded.buffers.windows.data) for source in sources]
     frames = []
     for index, (part, source) in enumerate(zip(parts, sources, strict=True)):
         near = {
@@ -233,6 +266,21 @@ def _load_subframes(arguments: argparse.Namespace, asked: Choice, loaded: Loaded
         # From one sub-frame to the next it takes as long as its part of the exposure.
         frames.append(dataclasses.replace(frame, shutter=1.0))
     return frames
+
+
+def _check_outside(loaded: Loaded, source: Source) -> None:
+    """Reject a sub-frame of which nothing is known in a part of the frame's data window."""
+    from jaxblur import exr
+
+    wanted = loaded.buffers.windows.data
+    unmasked = dataclasses.replace(source.buffers, valid=None)
+    if not exr.known_in(unmasked, wanted).all():
+        own = source.buffers.windows.data
+        raise CommandError(
+            f"--subframes: {source.path} has the pixels {exr.window_words(own)}, but the frame has "
+            f"{exr.window_words(wanted)}, and nothing is known of the others; render all with the "
+            "same data window."
+        )
 
 
 def _subframe_files(arguments: argparse.Namespace) -> list[pathlib.Path]:
@@ -266,6 +314,7 @@ def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:
         return
     if arguments.shutter == 0:
         raise CommandError(f"--{more[0]}: --shutter 0 blurs nothing; leave out one of the two.")
+    _check_distinct(arguments, sides)
     for option in ("velocity_from", "depth_from", "matte_from"):
         if getattr(arguments, option) is not None:
             raise CommandError(
@@ -281,28 +330,30 @@ def _check_neighbors(arguments: argparse.Namespace, asked: Choice) -> None:
             f"{option_of(arguments)}: sub-frames are equal parts of an exposure centered on the "
             "frame; leave out one of the two."
         )
-    _refuse_twice(arguments, sides)
     if sides and arguments.plan is None:
         require_neighbors(asked.name, f"--{sides[0]}")
     if arguments.subframes is not None and not _subframe_files(arguments):
         raise CommandError(f"--subframes: {arguments.subframes}: no such files.")
 
 
-def _refuse_twice(arguments: argparse.Namespace, sides: Sequence[str]) -> None:
-    """Reject neighbors that are the frame itself, or one frame on both sides.
-
-    One of several layers may be the same in all frames.
-    """
-    frames = {"the input": [getattr(arguments, role) for role in stack.roles(arguments)]}
+def _check_distinct(arguments: argparse.Namespace, sides: Sequence[str]) -> None:
+    """Reject the frame itself as its neighbor, and one neighbor for both sides."""
+    frame = {role: getattr(arguments, role) for role in stack.roles(arguments)}
+    given = {"the frame itself": frame}
     for side in sides:
-        files = list(stack.files_of(arguments, side).values())
-        for other, theirs in frames.items():
-            if [path.resolve() for path in files] == [path.resolve() for path in theirs]:
+        files = stack.files_of(arguments, side)
+        for whose, others in given.items():
+            # A clean plate may be the same at all times, but not every layer.
+            if all(_is_same(files[role], others[role]) for role in files):
                 raise CommandError(
-                    f"--{side}: {', '.join(map(str, files))} is {other} too; give the frame "
-                    f"{side}, or leave it out."
+                    f"--{side}: {files['input']} is {whose}; give the frame {side}, or leave it "
+                    "out."
                 )
-        frames[f"given as --{side}"] = files
+        given[f"--{sides[0]} too"] = files
+
+
+def _is_same(first: pathlib.Path, second: pathlib.Path) -> bool:
+    return first.exists() and second.exists() and first.samefile(second)
 
 
 def _number_in(path: pathlib.Path) -> int:

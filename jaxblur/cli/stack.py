@@ -68,11 +68,12 @@ class ReadLayer(NamedTuple):
         """As on the command line, without folders."""
         return LayerName(self.path, self.layer).text
 
-    def frame(self, passes: Sequence[str]) -> Any:
+    def frame(self, passes: Sequence[str], valid: Any = None) -> Any:
         """The `jaxblur.Frame`, alpha last.
 
         Args:
             passes: of the color, by `pass_name`.
+            valid: (H, W) mask; None, since alpha says what is there.
         """
         import jax.numpy as jnp
 
@@ -81,7 +82,7 @@ class ReadLayer(NamedTuple):
         found = list(map(pass_name, self.buffers.pass_channels))
         order = [picture + found.index(name) for name in passes]
         order = [*range(picture - 1), *order, picture - 1]
-        return frame.replace(color=frame.color[..., jnp.array(order)], valid=None)
+        return frame.replace(color=frame.color[..., jnp.array(order)], valid=valid)
 
 
 def layer_name(text: str) -> LayerName:
@@ -174,11 +175,6 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     return [argparse.Namespace(**vars(arguments) | changes) for changes in here]
 
 
-def window_of(layer: ReadLayer) -> tuple[int, int, int, int]:
-    """The data window of a layer."""
-    return part_of(layer).data_window
-
-
 def part_of(layer: ReadLayer) -> Any:
     """The `jaxblur.exr.Part` with the color of a layer."""
     from jaxblur import exr
@@ -267,7 +263,7 @@ def blur(
     stack = []
     for layer in layers:
         near = {
-            side: other.frame(passes)
+            side: other.frame(passes, other.buffers.valid)
             for side, others in neighbors.items()
             for other in others
             if other.number is not None

@@ -10,7 +10,7 @@ from jaxblur._util.text import nearest
 
 from .arguments import CommandError, file_path, from_zero
 from .camera_share import camera_file, keeps_camera, with_camera_share
-from .selections import FORMS, parse_scale, select, size_of
+from .selections import FORMS, parse_scale, select
 
 LOG = logging.getLogger("jaxblur")
 
@@ -49,7 +49,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--matte-from",
         type=file_path,
         metavar="FILE",
-        help="file with the Cryptomattes, mattes and identifiers (default: the frame)",
+        help="file with the Cryptomattes, mattes and identifiers (default: the frame); outside of "
+        "its data window motion stays as it is",
     )
     which = group.add_mutually_exclusive_group()
     which.add_argument(
@@ -75,8 +76,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--limit-motion",
         type=_limit,
         metavar="valve|PX|P%",
-        help="longest blur from end to end, in pixels or percent of the width; valve: at most 15 "
-        "%% of the frame's time, and 4 %% of the width",
+        help="longest blur from end to end, in pixels or percent of the width of the display "
+        "window; valve: at most 15 %% of the frame's time, and 4 %% of that width",
     )
 
 
@@ -154,22 +155,20 @@ def apply(arguments: argparse.Namespace, buffers: Any) -> Changed:
         words.append(said)
     source = arguments.matte_from or arguments.input
     for scale in arguments.scale_motion:
-        factors, chosen = select(source, scale)
+        factors, chosen = select(source, scale, arguments.input, buffers.windows)
         matches.append(chosen)
-        if np.shape(factors) not in ((), buffers.depth.shape):
-            raise CommandError(
-                f"--scale-motion {scale.text}: {source} has {size_of(factors)} pixels, but "
-                f"{arguments.input} has {size_of(buffers.depth)}; render both with the same data "
-                "window."
-            )
         frame = jaxblur.scale_motion(frame, factors)
         words.append(f"scaled {scale.text}")
     if (limit := arguments.limit_motion) is not None:
-        width = buffers.depth.shape[1]
+        width, full_width = buffers.windows.data[2], buffers.windows.display[2]
         if limit.name is not None:
-            frame = jaxblur.within_limits(frame, limit.name, arguments.shutter)
+            # Shares are of the frame's own width there.
+            limits = jaxblur.MOTION_LIMITS[limit.name]
+            limits = dataclasses.replace(limits, width=limits.width * full_width / width)
+            frame = jaxblur.within_limits(frame, limits, arguments.shutter)
         else:
-            frame = jaxblur.limit_motion(frame, limit.length * (width if limit.of_width else 1) / 2)
+            share = full_width if limit.of_width else 1
+            frame = jaxblur.limit_motion(frame, limit.length * share / 2)
         words.append(f"limited {_limit_text(limit)}")
     path = None if frame.path is None else np.asarray(frame.path)
     changed = dataclasses.replace(buffers, velocity=np.asarray(frame.velocity), path=path)

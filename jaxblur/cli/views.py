@@ -142,7 +142,8 @@ def each(arguments: argparse.Namespace) -> list[argparse.Namespace]:
     for name in names:
         _check_own(arguments, info, name, names)
         noise = _noise_of(arguments, name, exr.views_of(info).index(name))
-        own = noise | view_files.own_truth(arguments, name) | {"layer": name}
+        own = noise | view_files.own_truth(arguments, name)
+        own |= {"layer": name, "shares_file": True}
         views.append(argparse.Namespace(**vars(arguments) | own))
     return views
 

@@ -20,12 +20,14 @@ and listing do not load jax; only `read_frame` does, at its end.
 Files are opened by `opening`, listed by `listing`, and their pixels read by `channels`; `choose`,
 `passes`, `cameras`, `color` and `cryptomatte` find what channels and headers mean; `checks` and
 `convert` make of stored values those of a frame. `read` puts frames together, `deep` the layers of
-deep files. `write` writes files, `write_like` those that keep what a model holds, `pictures` PNG,
-TIFF and JPEG, over `output`; `notes` holds metadata that a format has no place for.
+deep files; `windows` puts what was read into another data window. `write` writes files,
+`write_like` those that keep what a model holds, `pictures` PNG, TIFF and JPEG, over `output`;
+`notes` holds metadata that a format has no place for.
 
-Pixels are those of the data window: overscan is filtered and written like the rest. Color is linear
-and, where there is alpha, premultiplied; it is neither clipped nor converted. Only previews are:
-`conversion_of` finds the color space of a file, `Conversion.light` converts to what a screen shows.
+Pixels are those of the data window: overscan is filtered and written like the rest, but pictures
+are of the display window. Color is linear and, where there is alpha, premultiplied; it is neither
+clipped nor converted. Only previews are: `conversion_of` finds the color space of a file,
+`Conversion.light` converts to what a screen shows.
 """
 
 from .._util.errors import (
@@ -57,7 +59,7 @@ from .color import (
     check_view as check_view,
     conversion_of as conversion_of,
 )
-from .convert import DEPTH_KINDS as DEPTH_KINDS
+from .convert import DEPTH_KINDS as DEPTH_KINDS, SKY as SKY
 from .cryptomatte import (
     CryptomatteLayer as CryptomatteLayer,
     cryptomatte_layers as cryptomatte_layers,
@@ -92,6 +94,20 @@ from .read import (
     read_image as read_image,
 )
 from .survey import count_not_finite as count_not_finite, measure_speeds as measure_speeds
+from .windows import (
+    Windows as Windows,
+    blur_window as blur_window,
+    buffers_in as buffers_in,
+    common_window as common_window,
+    is_element as is_element,
+    known_in as known_in,
+    overlap as overlap,
+    put_into as put_into,
+    ranks_in as ranks_in,
+    warn_cropped as warn_cropped,
+    window_words as window_words,
+    windows_of as windows_of,
+)
 from .write import (
     WRITABLE as WRITABLE,
     refuse_overwrite as refuse_overwrite,

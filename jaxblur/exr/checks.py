@@ -129,50 +129,6 @@ def check_speed(
         refuse(fast, path, ", ".join(guess.channels), f"faster than {SPEED_LIMIT:.0e} px", remedy)
 
 
-def warn_cropped(
-    info: FileInfo,
-    channel: str,
-    alpha: Float[np.ndarray, "height width"] | None,
-    velocity: Float[np.ndarray, "height width 2"],
-) -> None:
-    """Warn where an element is cropped so closely that its blur does not fit into the data window.
-
-    Args:
-        info: listing of the file.
-        channel: one of the color channels.
-        alpha: (H, W) coverage; None for an opaque picture, whose window is what was rendered.
-        velocity: (H, W, 2) half-spread in pixels.
-    """
-    part = info.parts[info.channel(channel).part]
-    (left, top, width, height), (x, y, columns, rows) = part.data_window, part.display_window
-    room = {
-        "left": left > x,
-        "top": top > y,
-        "right": left + width < x + columns,
-        "bottom": top + height < y + rows,
-    }
-    if alpha is None or not any(room.values()):
-        return
-    across, down = np.abs(velocity[..., 0]), np.abs(velocity[..., 1])
-    column, row = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
-    seen = alpha > 0
-    leaves = {
-        "left": across > column + 0.5,
-        "top": down > row + 0.5,
-        "right": across > width - column - 0.5,
-        "bottom": down > height - row - 0.5,
-    }
-    lost = [side for side in room if room[side] and np.any(leaves[side] & seen)]
-    if lost:
-        warnings.warn(
-            f"{info.path}: color moves out of the data window, {width}x{height} at "
-            f"({left}, {top}), across its edges ({', '.join(lost)}), and its blur is cut off "
-            "there; give it the full window first: oiiotool IN --croptofull -o OUT.",
-            JaxblurIOWarning,
-            stacklevel=3,
-        )
-
-
 def warn_lossy(channels: Sequence[tuple[FileInfo, str]]) -> None:
     """Warn once for each file whose compression changes the values of vectors or depth.
 

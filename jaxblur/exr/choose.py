@@ -195,7 +195,7 @@ def choose_color(
     """
     if color_channels is not None:
         names = tuple(info.channel(name).name for name in color_channels)
-        alpha = next((name for name in names if _component(name) == "A"), None)
+        alpha = next((name for name in names if component_of(name) == "A"), None)
         return ColorGroup(names[0].rpartition(".")[0], names, alpha)
     scope = _scope(info, layer)
     groups = _color_groups(scope)
@@ -369,7 +369,8 @@ def color_layers(info: FileInfo, layer: str | None = None) -> list[ColorGroup]:
     return _color_groups(_scope(info, layer))
 
 
-def _component(name: str) -> str:
+def component_of(name: str) -> str:
+    """R, G, B, A or Y, if the name of a channel is that of one of them."""
     letter = name.rpartition(".")[2]
     words = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}
     return words.get(letter.lower(), letter.upper())
@@ -395,9 +396,9 @@ def _color_groups(names: Mapping[str, str]) -> list[ColorGroup]:
     """
     layers: dict[str, dict[str, str]] = {}
     for name, full in names.items():
-        if _component(name) in ("R", "G", "B", "A", "Y"):
+        if component_of(name) in ("R", "G", "B", "A", "Y"):
             prefix = name[: len(name) - len(name.rpartition(".")[2])]
-            layers.setdefault(prefix, {})[_component(name)] = full
+            layers.setdefault(prefix, {})[component_of(name)] = full
     groups = []
     for prefix, found in layers.items():
         members = next((m for m in ("RGB", "Y") if set(m) <= set(found)), None)

@@ -18,7 +18,9 @@ from .listing import FileInfo
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-DEPTH_KINDS = ("z", "-z", "1/z", "-1/z", "normalized-near1", "flat")
+SKY = {"z": np.inf, "-z": -np.inf, "1/z": 0, "-1/z": 0, "normalized-near1": 0, "flat": np.inf}
+"""What stands for the sky in each kind of depth."""
+DEPTH_KINDS = tuple(SKY)
 """What a file may store as depth: `read_frame` converts each to distance."""
 
 PIXELS_AT_ONCE = 8192

@@ -28,6 +28,7 @@ from .convert import depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
 from .opening import open_input, pending_message
 from .read import Buffers, ReadOptions
+from .windows import windows_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -154,6 +155,7 @@ def read_deep_layers(
         Buffers(
             *(color, distance, velocity, path[0] if path else None),
             *(group.channels, channel, kind, guess),
+            windows_of(info, group.channels[0]),
         )
         for color, distance, velocity, *path in _layers_of(bands, sizes, layers)
     )

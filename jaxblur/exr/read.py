@@ -14,7 +14,7 @@ from jaxblur._util.errors import JaxblurIOError, JaxblurIOWarning, PathLike
 from jaxblur.nonfinite import NONE_IGNORED, Ignored, Nonfinite, check_policy
 
 from .channels import read_channels, read_together
-from .checks import check_speed, refuse_or_zero, warn_cropped, warn_lossy, without_depth
+from .checks import check_speed, refuse_or_zero, warn_lossy, without_depth
 from .choose import (
     ColorGroup,
     borrowed_from,
@@ -26,6 +26,7 @@ from .choose import (
 from .convert import DEPTH_KINDS, as_light, depth_kind_of, half_spread, to_distance
 from .listing import FileInfo, inspect
 from .passes import Passes, choose_passes, sharp_layers
+from .windows import Windows, warn_cropped, window_words, windows_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -46,15 +47,17 @@ class Buffers:
         depth_channel: full name, or None where depth is flat.
         depth_kind: the kind that depth was read as.
         guess: convention and channels of the vectors, and the reason for them.
-        valid: (H, W) False where the color is NaN or infinite and is left out, or None if all
-            pixels are used.
+        windows: data window of these pixels, and the display window of the picture.
+        valid: (H, W) False where the color is NaN or infinite, or outside what the file holds, and
+            is left out, or None if all pixels are used.
         ignored: numbers of pixels that ``nonfinite="ignore"`` left out.
         pass_channels: full names of the channels of further color passes.
         pass_colors: (H, W, K) their values, or None.
         guide: (H, W, G) colors that show of which surface a pixel is, or None, as in
             `jaxblur.Frame`; not beside passes.
-        decoded: (H, W, K) float32 all channels of the part with the picture, as stored, if
-            `read_buffers` was asked to keep them and has read all of them; else None.
+        decoded: float32 all channels of the part with the picture, as stored and in the data window
+            of the file, if `read_buffers` was asked to keep them and has read all of them; else
+            None.
         sharp_layers: names of layers of color that are not blurred with the picture.
     """
 
@@ -66,12 +69,13 @@ class Buffers:
     depth_channel: str | None
     depth_kind: str
     guess: vectors.Guess
+    windows: Windows
     valid: Bool[np.ndarray, "height width"] | None = None
     ignored: Ignored = NONE_IGNORED
     pass_channels: tuple[str, ...] = ()
     pass_colors: Float[np.ndarray, "height width channels"] | None = None
     guide: Float[np.ndarray, "height width channels"] | None = None
-    decoded: Float[np.ndarray, "height width channels"] | None = None
+    decoded: Float[np.ndarray, "stored_height stored_width stored"] | None = None
     sharp_layers: tuple[str, ...] = ()
 
     def frame(self) -> Frame:
@@ -132,7 +136,9 @@ def read_frame(
         JaxblurIOError: as for `read_buffers`.
         ValueError: as for `read_buffers`.
     """
-    return read_buffers(path, preset, shutter, **options).frame()
+    buffers = read_buffers(path, preset, shutter, **options)
+    warn_cropped(path, buffers)
+    return buffers.frame()
 
 
 def read_buffers(
@@ -229,7 +235,6 @@ def read_buffers(
     velocity, curve = half_spread(vector_info, guess, raw, still, alpha, shutter, scale)
     if nonfinite != "keep":
         check_speed(velocity, vector_info.path, guess)
-        warn_cropped(info, group.channels[0], alpha, velocity)
 
     if channel is None:
         kind = "flat"
@@ -242,6 +247,7 @@ def read_buffers(
         distance = to_distance(stored, kind, depth_info.path, channel)
     return Buffers(
         *(color, distance, velocity, curve, group.channels, channel, kind, guess),
+        windows_of(info, group.channels[0]),
         valid=~unknown if unknown.any() else None,
         ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),
         pass_channels=passes,
@@ -331,17 +337,12 @@ def _warn_borrowed(info: FileInfo, layer: str | None, what: str, names: Sequence
 def _check_window(
     data: FileInfo, names: Sequence[str], picture: FileInfo, group: ColorGroup
 ) -> None:
-    window, wanted = _window(data, names[0]), _window(picture, group.channels[0])
+    window = windows_of(data, names[0]).data
+    wanted = windows_of(picture, group.channels[0]).data
     if window != wanted:
         color = "the color" if data.path == picture.path else f"the color of {picture.path}"
         raise JaxblurIOError(
             data.path,
-            f"{', '.join(names)}: pixels {window}, but {color} has {wanted}; "
-            "render them with the same data window.",
+            f"{', '.join(names)}: pixels {window_words(window)}, but {color} has "
+            f"{window_words(wanted)}; render them with the same data window.",
         )
-
-
-def _window(info: FileInfo, channel: str) -> str:
-    """Format a data window, such as ``6x4 at (-1, 0)``."""
-    x, y, width, height = info.parts[info.channel(channel).part].data_window
-    return f"{width}x{height} at ({x}, {y})"

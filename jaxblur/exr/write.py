@@ -21,6 +21,7 @@ from .opening import FileStates, open_input
 from .output import STORAGE, check, clamp_half, set_attributes, set_formats, writer
 from .pictures import BITS, LINEAR_BITS, bits_of, write_picture
 from .ranks import ChannelChange
+from .windows import Window, put_into, windows_of
 from .write_like import write_like
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def write_image(
     nonfinite: Literal["keep", "zero"] = "keep",
     unchanged: FileStates | None = None,
     changes: Sequence[ChannelChange] = (),
-    decoded: Float[np.ndarray, "height width stored"] | None = None,
+    window: Window | None = None,
+    sky: float = np.inf,
+    decoded: Float[np.ndarray, "stored_height stored_width stored"] | None = None,
     color_space: str | None = None,
     view: str | None = None,
     bits: int | None = None,
@@ -61,7 +64,8 @@ def write_image(
     Pictures of integers (``.png``, ``.jpg``, ``.tif`` with 8 or 16 bits) get sRGB of the color
     without alpha, clipped to 0..1, converted from the color space of ``like``
     (`jaxblur.exr.conversion_of`); their text ``jaxblur:colors`` says how. A ``.tif`` of floats, the
-    default, gets the image as it is.
+    default, gets the light as it is. Where the image is of the data window of ``like``, pictures
+    are of its display window: overscan is cut away, and what is missing is 0.
 
     Args:
         path: ``.exr``, ``.png``, ``.tif``, ``.tiff``, ``.jpg`` or ``.jpeg`` to write.
@@ -80,6 +84,10 @@ def write_image(
             read; if one has changed when the new file is complete, that does not appear.
         changes: other values for pixels of further channels of ``like``, such as the ranks of a
             Cryptomatte; these channels are written even with ``extra="drop"``.
+        window: ``(x, y, width, height)`` of the image in an ``.exr``, if it is not the data window
+            of ``like``. Parts with new channels get it; what ``like`` does not hold of their other
+            channels is 0.
+        sky: the same in depth, which is infinite if it grows with the distance.
         decoded: `Buffers.decoded` of ``like``, which need not be decoded again then.
         color_space: color space of the image, for pictures of integers; that of ``like`` if None.
         view: OpenColorIO view for them, such as "ACES 2.0 - SDR 100 nits (Rec.709)"; plain sRGB if
@@ -111,6 +119,7 @@ def write_image(
             pixels = colors.light(pixels)
             if not colors.is_identity:
                 attributes = {**(attributes or {}), COLORS: colors.words}
+        pixels = _in_display_window(pixels, like, layer, color_channels)
         write_picture(path, pixels, depth, attributes, last_check)
     elif kind != ".exr":
         raise JaxblurIOError(path, f"can write {', '.join(WRITABLE)} only; change the extension.")
@@ -121,7 +130,7 @@ def write_image(
     else:
         refuse_overwrite(path, like)
         write_like(
-            *(path, pixels, like, changes, decoded),
+            *(path, pixels, like, changes, decoded, window, sky),
             layer=layer,
             color_channels=color_channels,
             keep_extra=extra == "keep",
@@ -148,6 +157,20 @@ def _checked_image(path: PathLike, image: Any, like: PathLike | None) -> np.ndar
             path, f"{count} values of the image are NaN or infinite; nothing was written.{hint}"
         )
     return pixels
+
+
+def _in_display_window(
+    pixels: np.ndarray,
+    like: PathLike | None,
+    layer: str | None,
+    color_channels: Sequence[str] | None,
+) -> np.ndarray:
+    if like is None:
+        return pixels
+    info = inspect(like)
+    windows = windows_of(info, choose_color(info, layer, color_channels).channels[0])
+    held = pixels.shape[1::-1] == windows.data[2:]
+    return put_into(pixels, *windows) if held else pixels
 
 
 def _colors(

@@ -21,6 +21,7 @@ from .listing import FileInfo, describe, inspect
 from .opening import open_input, pending_message
 from .output import STORAGE, check, clamp_half, set_attributes, set_formats, writer
 from .ranks import ChannelChange
+from .windows import Window, put_into
 
 LOSSLESS = ("none", "rle", "zip", "zips", "piz", "zstd", "htj2k", "htj2k32", "htj2k256")
 
@@ -34,6 +35,8 @@ def write_like(
     like: PathLike,
     changes: Sequence[ChannelChange],
     decoded: np.ndarray | None,
+    window: Window | None,
+    sky: float,
     *,
     layer: str | None,
     color_channels: Sequence[str] | None,
@@ -51,6 +54,8 @@ def write_like(
         like: the model.
         changes: as `jaxblur.exr.write_image`.
         decoded: as `jaxblur.exr.write_image`.
+        window: as `jaxblur.exr.write_image`.
+        sky: as `jaxblur.exr.write_image`.
         layer: as `jaxblur.exr.write_image`.
         color_channels: as `jaxblur.exr.write_image`.
         keep_extra: whether channels and parts that are not color are written too.
@@ -65,21 +70,31 @@ def write_like(
     with open_input(like) as source:
         info = describe(source, like)
         names = choose_color(info, layer, color_channels).channels
-        _check_model(path, image, info, names)
+        stored = info.parts[info.channel(names[0]).part].data_window
+        _check_model(path, image, info, names, window or stored)
         if keep_extra:
             _refuse_deep(path, info)
             _refuse_equal_names(path, info)
-        new = _New(image, names, changes, _decoded(info, names, decoded))
+        new = _New(
+            image,
+            None if window == stored else window,
+            sky,
+            names,
+            changes,
+            _decoded(info, names, decoded),
+        )
         plans = _plan_parts(source, info, new, keep_extra, dtype, attributes)
         with replacing(path, last_check) as temporary:
             _write_parts(path, temporary, source, info, plans, new, mend)
 
 
-def _check_model(path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str]) -> None:
+def _check_model(
+    path: PathLike, image: np.ndarray, info: FileInfo, names: Sequence[str], window: Window
+) -> None:
     """Check the image against the model's size and number of color channels."""
     if not info.path.lower().endswith(".exr"):
         raise JaxblurIOError(info.path, "`like` must be an .exr file.")
-    *_, width, height = info.parts[info.channel(names[0]).part].data_window
+    *_, width, height = window
     if image.shape != (height, width, len(names)):
         rows, columns, count = image.shape
         raise JaxblurIOError(
@@ -138,12 +153,16 @@ class _New(NamedTuple):
 
     Attributes:
         image: (H, W, C).
+        window: data window of the image; None for that of the model.
+        sky: depth where the model has none.
         color: full names of the channels that it replaces.
         changes: of further channels.
         decoded: all channels of parts of the model that were read before, (H, W, K) by part.
     """
 
     image: np.ndarray
+    window: Window | None
+    sky: float
     color: Sequence[str]
     changes: Sequence[ChannelChange]
     decoded: Mapping[int, np.ndarray]
@@ -211,6 +230,8 @@ def _plan_part(
     is_merged = bool(replaced or changed)
     uint = tuple(i for i, kind in enumerate(kinds) if kind == "uint") if is_merged else ()
     header = oiio.ImageSpec(spec)
+    if is_merged and new.window is not None:
+        header.x, header.y, header.width, header.height = new.window
     if len(kept) < len(part.channels):
         header.nchannels = len(kept)
         header.channelnames = tuple(spec.channelnames[channel.index] for channel in kept)
@@ -370,10 +391,14 @@ def _merged(
         old = read_span(source, info, plan.part, 0, len(channels), "float")
         pixels = np.ascontiguousarray(old if is_whole else old[..., plan.keep])
     _not_finite(info, plan, pixels, {position for position, _ in plan.color}, mend)
+    stored = info.parts[plan.part].data_window
+    window = new.window or stored
+    outside = [new.sky if is_depth(channels[index].name) else 0 for index in plan.keep]
+    pixels = put_into(pixels, stored, window, outside)
     for position in plan.uint:
         index = plan.keep[position]
         bits = read_span(source, info, plan.part, index, index + 1, "uint")
-        pixels[..., position] = bits[..., 0].view(np.float32)
+        pixels[..., position] = put_into(bits[..., 0], stored, window).view(np.float32)
     for position, channel in plan.color:
         pixels[..., position] = new.image[..., channel]
     flat = pixels.reshape(-1, pixels.shape[-1])

@@ -77,17 +77,22 @@ def is_cut(first: exr.Buffers, second: exr.Buffers, shutter: float) -> bool:
     the mean, by a share of the difference between colors at unrelated places. Over consecutive
     frames of four path-traced scenes this share is 0.37 at most, between these scenes 0.71 at
     least. There is a cut if the share of either frame exceeds `UNRELATED`, or if the vectors carry
-    nearly everything out of the picture. Only the two frames decide, so that every run agrees.
+    nearly everything out of the picture. Frames of different data windows are compared where both
+    are known, see `jaxblur.exr.common_window`; there is a cut if that is nowhere. Only the two
+    frames decide, so that every run agrees.
 
     Args:
         first: a frame.
-        second: the next one, of the same size and channels.
+        second: the next one, of the same display window and channels.
         shutter: exposure in frames by which their vectors were scaled; above 0.
 
     Returns:
         True also where long vectors, as renderers write them at a cut, bring nothing into place.
     """
-    a, b = _cells_of(first), _cells_of(second)
+    window = exr.common_window(first, second)
+    if 0 in window[2:]:
+        return True
+    a, b = (_cells_of(exr.buffers_in(frame, window)) for frame in (first, second))
     usual = _difference_elsewhere(a.color, b.color)
     return any(
         differs > UNRELATED * max(usual, ALIKE)

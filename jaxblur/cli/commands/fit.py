@@ -34,6 +34,7 @@ from ..filtering import (
 )
 from ..progress import stages
 from ..sources import add_source_options, add_vector_options
+from ..windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -351,12 +352,11 @@ def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path])
     frame, truth = named["input"], named["truth"]
     LOG.info("%s: truth %s", frame, truth)
     buffers = sources.read(argparse.Namespace(**vars(arguments) | dict(named)))
-    image = exr.read_image(truth)
-    if image.shape[:2] != buffers.color.shape[:2]:
-        raise CommandError(
-            f"{truth}: the truth has {_size(image)} pixels, but {frame} has "
-            f"{_size(buffers.color)}; render both with the same data window."
-        )
+    image = in_window(
+        exr.read_image(truth),
+        *(truth, exr.choose_color(exr.inspect(truth)).channels[0], frame, buffers.windows),
+        what="the truth",
+    )
     return _cropped(arguments.crop, frame, buffers, image)
 
 
@@ -371,10 +371,6 @@ def _cropped(
     names = ("color", "depth", "velocity", "path")
     cut = {name: whole[part] for name in names if (whole := getattr(buffers, name)) is not None}
     return dataclasses.replace(buffers, **cut), truth[part]
-
-
-def _size(image: Any) -> str:
-    return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def _with_radius(settings: Any, arguments: argparse.Namespace, pairs: Sequence[Any]) -> Any:

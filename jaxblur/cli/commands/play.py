@@ -166,7 +166,7 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
         frame["path"] = buffers.path
     truth = None
     if arguments.truth is not None:
-        stored, colors = read_truth(arguments, color.shape, None)
+        stored, colors = read_truth(arguments, buffers.windows, None)
         truth = _light(stored, colors)
     return page_of(
         *([asked, *others(asked.info, given, arguments.filters)], frame, truth),

@@ -41,6 +41,7 @@ from ..sequence import (
     with_all_frames,
 )
 from ..sources import add_channel_options
+from ..windows import in_window
 
 LOG = logging.getLogger("jaxblur")
 
@@ -252,6 +253,7 @@ class _View(NamedTuple):
         arguments: of the command for this view; see `views.each`.
         color: (H, W, C) values of the file.
         channels: full names of the color channels.
+        windows: `jaxblur.exr.Windows` of the color.
         colors: a `jaxblur.exr.Conversion` of the color to light that a screen shows.
         truth: (H, W, C) such light, or None.
     """
@@ -259,6 +261,7 @@ class _View(NamedTuple):
     arguments: argparse.Namespace
     color: Any
     channels: tuple[str, ...]
+    windows: Any
     colors: Any
     truth: Any
 
@@ -280,7 +283,8 @@ def _read(arguments: argparse.Namespace) -> _View:
     ).channels
     color = exr.read_image(source, arguments.layer, arguments.color_channels)
     colors = shown_colors(arguments, source, channels[0])
-    return _View(arguments, color, channels, colors, shown_truth(arguments, color.shape))
+    windows = exr.windows_of(exr.inspect(source), channels[0])
+    return _View(arguments, color, channels, windows, colors, shown_truth(arguments, windows))
 
 
 class _Made(NamedTuple):
@@ -360,16 +364,11 @@ def _through_posts(picture: _View, depth: pathlib.Path) -> Any:
     arguments, color = picture.arguments, picture.color
     distance = None
     if posts.needs_depth(arguments):
-        distance = exr.read_depth(
-            depth,
-            arguments.depth or "z",
-            layer=arguments.layer,
-            depth_channel=arguments.depth_channel,
+        where = {"layer": arguments.layer, "depth_channel": arguments.depth_channel}
+        channel = exr.choose_depth(exr.inspect(depth), **where, needed=True)
+        distance = in_window(
+            exr.read_depth(depth, arguments.depth or "z", **where),
+            *(depth, channel, arguments.input, picture.windows),
+            what="the depth",
         )
-        if distance.shape != color.shape[:2]:
-            (rows, columns), (height, width) = distance.shape, color.shape[:2]
-            raise CommandError(
-                f"{depth}: the depth has {columns}x{rows} pixels, but {arguments.input} has "
-                f"{width}x{height}; render both with the same data window."
-            )
-    return posts.apply(arguments, color, distance, color.shape[2])
+    return posts.apply(arguments, color, distance, color.shape[2], picture.windows)

@@ -13,7 +13,7 @@ from .. import blurring, loading, mattes, outputs, views
 from ..choice import Choice, choose, passed_through
 from ..compute import start_jax
 from ..filtering import find_filter
-from ..loading import Loaded, Source, mismatch
+from ..loading import Loaded, Source, mismatch, placed
 from ..progress import about_frame
 from ..scores import scores_of
 from . import report
@@ -122,7 +122,12 @@ class FrameWork:
             self._sees(frame, loaded, number, source)
             for loaded, source in zip(frames, neighbor, strict=True)
         )
-        return neighbor if seen else []
+        if not seen:
+            return []
+        return [
+            placed(source, loaded.buffers.windows.data)
+            for loaded, source in zip(frames, neighbor, strict=True)
+        ]
 
     def _sees(self, frame: int, loaded: Loaded, number: int, neighbor: Source) -> bool:
         """Whether a frame may see a neighbor; if not, a message says why."""

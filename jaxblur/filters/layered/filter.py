@@ -296,7 +296,8 @@ def layered(
             to a guess, one guess at a time, the others at their nearest texel.
         noise: replaces the built-in noise; only ``tap`` is used without a lens.
         before: the frame before, sharp, of the same size and channels, with the motion of an
-            exposure as long as that of ``frame``. It shows some of what ``frame`` hides.
+            exposure as long as that of ``frame``. It shows some of what ``frame`` hides; its masked
+            pixels show nothing.
         after: likewise the frame after.
         shutter: length of the exposure in frames, by which neighbors are related to it. Not used
             without them.
@@ -443,7 +444,7 @@ def _checked(
     others: Others,
     settings: Settings,
 ) -> jax.Array:
-    """Check what jit does not see, and give all frames a mask if one has one."""
+    """Check what jit does not see, and give neighbors of a masked frame a channel for its mask."""
     settings = checked_settings(settings, Settings, "layered")
     check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
@@ -452,12 +453,12 @@ def _checked(
         frame = check_frame(frame)
         check_frames(others.shutter)
         given = {name: checked_neighbor(given[name], name, frame) for name in given}
-    if any(f.valid is not None for f in given.values()) or (given and frame.valid is not None):
+    if frame.valid is not None:
+        # All colors have the channels of the frame, whose mask becomes one of them.
         everything = jnp.ones(frame.depth.shape, bool)
-
-        def masked(frame: Frame) -> Frame:
-            return frame if frame.valid is not None else frame.replace(valid=everything)
-
-        frame, given = masked(frame), {k: append_mask(masked(f)) for k, f in given.items()}
+        given = {
+            name: append_mask(one.replace(valid=everything)).replace(valid=one.valid)
+            for name, one in given.items()
+        }
     others = others._replace(**given)
     return _layered(frame, parameters, noise, others, settings=settings)

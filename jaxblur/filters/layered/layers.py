@@ -56,7 +56,7 @@ class Layer:
 
     Attributes:
         frame: its color is premultiplied, and the last channel is alpha: 0 nothing, 1 opaque.
-        before: the layer in the frame before, or None; see `jaxblur.layered`.
+        before: the layer in the frame before, or None; see `jaxblur.layered`. It may have a mask.
         after: likewise in the frame after.
         holdout: whether the layer hides what is behind it without being seen, so that the result
             is transparent there.
@@ -308,7 +308,7 @@ def _check_layer(number: int, layer: Layer, first: Layer) -> None:
     for side in ("before", "after"):
         if (neighbor := getattr(layer, side)) is not None:
             checked_neighbor(neighbor, f"{name}.{side}", check_frame(layer.frame))
-    if any(f is not None and f.valid is not None for f in (layer.frame, layer.before, layer.after)):
+    if layer.frame.valid is not None:
         raise ValueError(
             f"`{name}` must not have a mask (`Frame.valid`): in a layer, alpha says what is there."
         )

@@ -32,6 +32,8 @@ _UNKNOWN_LIGHT = 0.7
 """What counts where there are fewer."""
 _DARK = 1e-3
 """Root of the light that counts as none."""
+_AWAY = 1e5
+"""Pixels that lead out of every picture."""
 
 
 class Neighbor(NamedTuple):
@@ -92,6 +94,7 @@ class Both(NamedTuple):
         valid: (H, W, 1) where the blurred frame has light, or None.
         there: (H, W, C) picture of the neighbor.
         vectors: of the neighbor.
+        known: (H, W, 1) 0 where the picture of the neighbor is masked, or None.
     """
 
     here: Image
@@ -99,6 +102,7 @@ class Both(NamedTuple):
     valid: Image | None
     there: Image
     vectors: Vectors
+    known: Image | None
 
 
 def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> Outcome:
@@ -132,6 +136,9 @@ def common_light(at: At, images: Both, inputs: tuple[Array, Array], _: None) -> 
         if images.valid is not None:
             (valid,) = images.valid.read_inside(row, column)
             both = both & (valid > 0)
+        if images.known is not None:
+            (known,) = images.known.read_inside(own_row, own_column)
+            both = both & (known > 0)
         here = images.here.read_inside(row, column)
         there = images.there.read_inside(own_row, own_column)
         roots = [jnp.where(both, jnp.sqrt(jnp.maximum(light, 0)), 0) for light in (*here, *there)]
@@ -153,7 +160,9 @@ def neighbor_of(
         backend: see `jaxblur.Settings`.
 
     Returns:
-        The neighbor. Differentiable, with `light` held.
+        The neighbor. Differentiable, with `light` held. Its masked pixels are found nowhere, since
+        they move far away. Were the mask a channel of the color, they would hide what the other
+        neighbor shows.
     """
     height, width = frame.depth.shape
     half = jnp.asarray(shutter, frame.color.dtype) / 2
@@ -161,6 +170,8 @@ def neighbor_of(
     vectors = vectors_of(frame)
     inputs = (times, half)
     motion = each_pixel(motion_of_pixel, (height, width), vectors, inputs, None, backend=backend)
+    if frame.valid is not None:
+        motion = jnp.where(frame.valid[..., None] > 0, motion, _AWAY)
     light = light_of(blurred, frame, frames, half, backend)
     return Neighbor(Image(frame.color), Image(motion), Image(light))
 
@@ -200,7 +211,8 @@ def light_of(
     here, there = map(Image, pictures)
     # A masked frame has the mask as the last channel of its color.
     valid = None if blurred.valid is None else Image(blurred.color[..., -1:])
-    images = Both(here, Image(blurred.depth), valid, there, vectors_of(frame))
+    known = None if frame.valid is None else Image(frame.valid[..., None])
+    images = Both(here, Image(blurred.depth), valid, there, vectors_of(frame), known)
     height, width = frame.depth.shape
     blocks, channels = (-(-height // _BLOCK), -(-width // _BLOCK)), here.channels
     lights = each_pixel(common_light, blocks, images, (frames / half, half), backend=backend)
