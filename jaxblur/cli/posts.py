@@ -281,7 +281,7 @@ def spread_of(arguments: argparse.Namespace, buffers: Any) -> float:
     """The radius of the largest disc by which a lens blurs a frame, sky apart; 0 without a lens."""
     import numpy as np
 
-    if not looks_through(arguments) and "defocus" not in arguments.posts:
+    if not looks_through(arguments) and "defocus" not in getattr(arguments, "posts", ()):
         return 0.0
     lens = lens_of(arguments, buffers.windows)
     return largest_disc(np.where(np.isfinite(buffers.depth), buffers.depth, lens.focus), lens)

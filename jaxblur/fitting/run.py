@@ -191,10 +191,8 @@ def _objective(
     settings = checked_settings(settings, info.kind, info.name)
     if info.check is not None:
         info.check(settings)
-    by_default = [name for name, known in info.parameter_infos.items() if known.free]
-    free = tuple(by_default if free is None else free)
+    free = _checked_free(info, free)
     over = _resolved(loss, info, settings)
-    _check_free(info, free)
     check_loss(pixel, over)
     if noise not in typing.get_args(NoiseMode):
         raise ValueError(f"`noise` must be fresh, fixed or builtin, got {noise!r}.")
@@ -271,16 +269,20 @@ def _resolved(loss: Any, info: FilterInfo, settings: Settings) -> Any:
     return loss
 
 
-def _check_free(info: FilterInfo, free: Sequence[str]) -> None:
+def _checked_free(info: FilterInfo, free: Sequence[str] | None) -> tuple[str, ...]:
+    """The names of parameters to fit, or those that the filter frees by default."""
     if isinstance(free, str):
         raise ValueError(f"`free` must be a list of names, got {free!r}; pass [{free!r}].")
     if not info.parameter_infos:
         raise ValueError(f"`filter` must be one with parameters: {info.name} has none to fit.")
+    by_default = [name for name, known in info.parameter_infos.items() if known.free]
+    free = tuple(by_default if free is None else free)
     _check_names("free", info, free)
     if not free:
         raise ValueError(f"`free` must name at least one parameter of {info.name}.")
     if len(set(free)) != len(free):
         raise ValueError(f"`free` must name each parameter once, got {', '.join(free)}.")
+    return free
 
 
 def _check_sizes(pairs: Sequence[Pair]) -> None:
