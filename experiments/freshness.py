@@ -182,7 +182,7 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
     if not changed:
         but = ""
         if rewritten:
-            but = f", but for changes of its speed ({', '.join(rewritten)})"
+            but = f", but for changes that keep its numbers ({', '.join(rewritten)})"
         return f"*Figures of {entry['date']}, made by the code as it is{but}.*"
     return f"*Figures of {entry['date']}. Code that has changed since: {', '.join(changed)}.*"
 
