@@ -90,24 +90,26 @@ def _halton_block() -> np.ndarray:
 
 
 def _uniform(
-    kind: NoiseKind, height: int, width: int, seed: int
+    kind: NoiseKind, height: int, width: int, right: int, down: int
 ) -> Float[Array, "{height} {width} 3"]:
-    """Make three independent values in [0, 1) for every pixel."""
+    """Make three independent values in [0, 1) for every pixel, moved by some pixels."""
     if kind == "none":
         return jnp.full((height, width, 3), 0.5, jnp.float32)
     if kind == "halton":
-        rows = (np.arange(height) + seed * _STEP_Y % _HALTON_BLOCK) % _HALTON_BLOCK
-        columns = (np.arange(width) + seed * _STEP_X % _HALTON_BLOCK) % _HALTON_BLOCK
+        rows = (np.arange(height) + down % _HALTON_BLOCK) % _HALTON_BLOCK
+        columns = (np.arange(width) + right % _HALTON_BLOCK) % _HALTON_BLOCK
         return jnp.asarray(_halton_block()[np.ix_(rows, columns)])
     # The noise repeats after so many pixels.
     y, x = np.ogrid[:height, :width]
-    y, x = y + seed * _STEP_Y % _INNER_UNIT, x + seed * _STEP_X % _INNER_UNIT
+    y, x = y + down % _INNER_UNIT, x + right % _INNER_UNIT
     # Shifted copies of one pattern correlate (up to 0.7); rotated copies do not.
     planes = [interleaved_gradient(x, y), interleaved_gradient(y, x), interleaved_gradient(y, -x)]
     return jnp.stack(planes, axis=-1)
 
 
-def make_noise(kind: NoiseKind, height: int, width: int, seed: int = 0) -> Noise:
+def make_noise(
+    kind: NoiseKind, height: int, width: int, seed: int = 0, origin: tuple[int, int] = (0, 0)
+) -> Noise:
     """Make built-in noise of one kind.
 
     Args:
@@ -117,11 +119,13 @@ def make_noise(kind: NoiseKind, height: int, width: int, seed: int = 0) -> Noise
         width: columns.
         seed: moves the pattern, such as the number of a frame, so that it does not stand still over
             a shot; 0 is the noise that filters make themselves.
+        origin: (x, y) where the first pixel lies in a larger picture, whose noise it gets; pixels.
 
     Returns:
         The noise, float32.
     """
-    uniform = _uniform(kind, height, width, seed)
+    right, down = origin[0] + seed * _STEP_X, origin[1] + seed * _STEP_Y
+    uniform = _uniform(kind, height, width, right, down)
     return Noise(tap=2 * uniform[..., 0] - 1, tile=uniform[..., 1:] - 0.5)
 
 

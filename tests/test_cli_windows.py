@@ -48,9 +48,9 @@ def frames_in(folder, make, windows, known):
     return frames
 
 
-def blur_in_python(frames, seed=None):
+def blur_in_python(frames, origin, seed=0):
     height, width = frames[2].depth.shape
-    noise = None if seed is None else jaxblur.noise.make_noise("ign", height, width, seed)
+    noise = jaxblur.noise.make_noise("ign", height, width, seed, origin)
     blurred = jaxblur.layered(
         frames[2],
         jaxblur.LayeredParameters(),
@@ -85,8 +85,8 @@ def test_a_sequence_puts_neighbors_in_place(tmp_path, shot):
     assert note(out) == "before in.0001.exr, after in.0003.exr"
     assert exr.windows_of(exr.inspect(out), "R") == (windows[2], DISPLAY)
     blurred = exr.read_image(out)
-    np.testing.assert_allclose(blurred, blur_in_python(expected, seed=2), atol=1e-5)
-    assert np.abs(blurred - blur_in_python({2: expected[2]}, seed=2)).max() > 0.02
+    np.testing.assert_allclose(blurred, blur_in_python(expected, windows[2][:2], seed=2), atol=1e-5)
+    assert np.abs(blurred - blur_in_python({2: expected[2]}, windows[2][:2], seed=2)).max() > 0.02
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_named_neighbors_are_put_in_place(tmp_path):
     outcome = run(*command)
     assert outcome.status == 0 and "WARNING" not in outcome.err, outcome
     blurred = exr.read_image(tmp_path / "out.exr")
-    np.testing.assert_allclose(blurred, blur_in_python(expected), atol=1e-5)
+    np.testing.assert_allclose(blurred, blur_in_python(expected, WINDOWS[2][:2]), atol=1e-5)
 
 
 def test_a_neighbor_of_another_picture_is_refused(tmp_path):
@@ -319,7 +319,6 @@ def test_floats_of_a_picture_are_transparent_where_nothing_is_held(tmp_path):
 
 TIGHT = (16, 5, 9, 11)
 """The square of frame 2 with a row and a column to spare."""
-PLAIN = (*FEW, "--noise", "none")
 
 
 @pytest.mark.slow
@@ -332,7 +331,7 @@ def test_the_blur_of_a_cropped_element_is_not_cut_off(tmp_path, options):
     whole = write_part(tmp_path / "b.exr", channels, DISPLAY)
     out, images = tmp_path / "out.exr", []
     for path in (cropped, whole):
-        command = ("blur", path, "-o", out, "--overwrite", *PLAIN, *options)
+        command = ("blur", path, "-o", out, "--overwrite", *FEW, *options)
         outcome = run(*command)
         assert outcome.status == 0 and "cut off" not in outcome.err, outcome
         windows = exr.windows_of(exr.inspect(out), "R")
@@ -362,7 +361,7 @@ def test_cryptomattes_and_further_parts_of_a_cropped_element(tmp_path):
         header = make_spec(main, name="main", **place, **crypto_notes(("/hero",)))
         parts = [(header, main), (make_spec(data, name="data", **place), data)]
         path, out = write_parts(tmp_path / "a.exr", parts), tmp_path / "out.exr"
-        outcome = run("blur", path, "-o", out, "--overwrite", *PLAIN, "--cryptomatte")
+        outcome = run("blur", path, "-o", out, "--overwrite", *FEW, "--cryptomatte")
         assert outcome.status == 0, outcome
         windows = exr.windows_of(exr.inspect(out), "main.R")
         matte = exr.read_cryptomatte(out, "/hero")

@@ -120,6 +120,8 @@ def apply_filter(
 def noise_of(settings: Settings, seed: int | None, loaded: Loaded) -> Any:
     """The built-in noise, moved by a seed or along with the surfaces; None where it is not moved.
 
+    It starts at the corner of the display window: what is cropped keeps its grain.
+
     Args:
         settings: of the filter.
         seed: moves it over the frame; None leaves it where it is.
@@ -127,10 +129,12 @@ def noise_of(settings: Settings, seed: int | None, loaded: Loaded) -> Any:
     """
     from jaxblur.noise import make_noise, shared_noise
 
-    if settings.noise == "none" or (seed is None and loaded.disparity is None):
+    origin = loaded.buffers.windows.origin
+    is_moved = seed is not None or loaded.disparity is not None or origin != (0, 0)
+    if settings.noise == "none" or not is_moved:
         return None
     height, width = loaded.buffers.depth.shape
-    noise = make_noise(settings.noise, height, width, seed or 0)
+    noise = make_noise(settings.noise, height, width, seed or 0, origin)
     return noise if loaded.disparity is None else shared_noise(noise, loaded.disparity)
 
 

@@ -50,7 +50,8 @@ def serves(arguments: argparse.Namespace, chosen: Choice, loaded: Loaded) -> boo
         loaded.disparity is not None,
         *(loaded.truth is not None, loaded.lens is not None),
         *(buffers.pass_colors is not None, buffers.guide is not None),
-        arguments.seed is not None and chosen.settings.noise != "none",
+        chosen.settings.noise != "none"
+        and (arguments.seed is not None or buffers.windows.origin != (0, 0)),
         # Nobody knows what a function from elsewhere depends on.
         not (isinstance(info.function, str) and info.function.startswith("jaxblur.")),
         # jax may choose another device than the CPU.

@@ -40,6 +40,11 @@ class Windows(NamedTuple):
     data: Window
     display: Window
 
+    @property
+    def origin(self) -> tuple[int, int]:
+        """(x, y) of the first pixel in the full picture."""
+        return self.data[0] - self.display[0], self.data[1] - self.display[1]
+
 
 def window_words(window: Window) -> str:
     """Format a window, such as ``6x4 at (-1, 0)``."""
