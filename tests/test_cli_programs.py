@@ -123,8 +123,9 @@ PLAIN = {
 }
 
 
-def plain_frame() -> Any:
-    buffers = types.SimpleNamespace(pass_colors=None, guide=None)
+def plain_frame(origin: tuple[int, int] = (0, 0)) -> Any:
+    windows = types.SimpleNamespace(origin=origin)
+    buffers = types.SimpleNamespace(pass_colors=None, guide=None, windows=windows)
     absent = dict.fromkeys(("exposure", "lens", "truth", "disparity"))
     return types.SimpleNamespace(buffers=buffers, neighbors={}, layers=(), ranks=(), **absent)
 
@@ -152,6 +153,11 @@ def serves(monkeypatch):
 
 def test_the_plain_case_is_served(serves):
     assert serves()
+
+
+def test_a_cropped_frame_is_not_served(serves):
+    """Its noise starts elsewhere."""
+    assert not serves(loaded=plain_frame((3, 0)))
 
 
 @pytest.mark.parametrize(
