@@ -108,7 +108,7 @@ def _uniform(
 
 
 def make_noise(
-    kind: NoiseKind, height: int, width: int, seed: int = 0, origin: tuple[int, int] = (0, 0)
+    kind: NoiseKind, height: int, width: int, seed: int = 0, *, origin: tuple[int, int] = (0, 0)
 ) -> Noise:
     """Make built-in noise of one kind.
 

@@ -50,7 +50,7 @@ def frames_in(folder, make, windows, known):
 
 def blur_in_python(frames, origin, seed=0):
     height, width = frames[2].depth.shape
-    noise = jaxblur.noise.make_noise("ign", height, width, seed, origin)
+    noise = jaxblur.noise.make_noise("ign", height, width, seed, origin=origin)
     blurred = jaxblur.layered(
         frames[2],
         jaxblur.LayeredParameters(),

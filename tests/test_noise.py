@@ -70,7 +70,7 @@ def test_a_seed_moves_the_pattern(kind):
     np.testing.assert_array_equal(make_noise(kind, 40, 150, 0).tap, still.tap)
     corner = make_noise(kind, 40, 150, origin=(97, 303))
     np.testing.assert_array_equal(corner.tap, moved.tap[303:, 97:])
-    np.testing.assert_array_equal(make_noise(kind, 40, 150, 1, (-97, -303)).tap, still.tap)
+    np.testing.assert_array_equal(make_noise(kind, 40, 150, 1, origin=(-97, -303)).tap, still.tap)
     for seed in (-7, 123457, 10**18 + 1):
         other = make_noise(kind, 40, 150, seed).tap
         assert -1 <= other.min() < -0.9 and 0.9 < other.max() < 1

@@ -134,7 +134,7 @@ def noise_of(settings: Settings, seed: int | None, loaded: Loaded) -> Any:
     if settings.noise == "none" or not is_moved:
         return None
     height, width = loaded.buffers.depth.shape
-    noise = make_noise(settings.noise, height, width, seed or 0, origin)
+    noise = make_noise(settings.noise, height, width, seed or 0, origin=origin)
     return noise if loaded.disparity is None else shared_noise(noise, loaded.disparity)
 
 
