@@ -322,21 +322,44 @@ def angle(at, images, _, __):
     return Outcome((jnp.arctan2(y, x), jnp.arctan2(z, y), jnp.arctan2(x, z)))
 
 
-def angle_filter(frame, parameters, *, settings=None, noise=None):
-    return each_pixel(angle, frame.depth.shape, (Image(frame.color),), backend="xla")
+def curves(at, images, _, __):
+    """Functions that every language has."""
+    x, y, z = (value - 0.5 for value in images[0].here())
+    angles = jnp.arcsin(x) + jnp.arccos(y) + jnp.arctan(4 * z)
+    return Outcome((angles, jnp.sinh(3 * x) + jnp.cosh(y), jax.nn.sigmoid(9 * z)))
+
+
+def exported(program):
+    """A filter that runs the program once, its result, and its graph."""
+
+    def function(frame, parameters, *, settings=None, noise=None):
+        return each_pixel(program, frame.depth.shape, (Image(frame.color),), backend="xla")
+
+    info = FilterInfo(name="own", summary="a test", function=function)
+    with registered(info):
+        return np.asarray(function(frames()[0], None)), graph_of(info, channels=3)
+
+
+@pytest.mark.parametrize("program", [angle, curves])
+def test_functions_mean_the_same_in_c(program, tmp_path):
+    wanted, graph = exported(program)
+    found = run_c(graph, print_c(graph), tmp_path, planes_of(frames()[0]))
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("program", [angle, curves])
 @pytest.mark.parametrize(
     ("kind", "print_form"), [("Webgpu", print_wgsl), ("Webgl", print_glsl)], ids=["wgsl", "glsl"]
 )
-def test_angles_are_in_the_right_quadrant(kind, print_form, page):
-    info = FilterInfo(name="own", summary="a test", function=angle_filter)
-    with registered(info):
-        graph = graph_of(info, channels=3)
+def test_functions_mean_the_same_in_shaders(kind, print_form, program, page):
+    wanted, graph = exported(program)
     found = run_shaders(page, kind, graph, print_form(graph), planes_of(frames()[0]))
-    wanted = np.asarray(angle_filter(frames()[0], None))
     np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_angles_reach_all_quadrants():
+    wanted, _ = exported(angle)
     assert wanted.min() < -2 and wanted.max() > 2
 
 

@@ -5,6 +5,7 @@ from .expressions import Dialect
 _COMMON = {
     **{name: name for name in ("ceil", "cos", "exp", "exp2", "floor", "log", "pow", "sin", "sqrt")},
     **{name: name for name in ("tan", "tanh", "abs", "max", "min")},
+    **{name: name for name in ("acos", "asin", "atan", "cosh", "sinh")},
     **{"abs_int": "abs", "max_int": "max", "min_int": "min"},
 }
 _LARGEST = "3.4028234e38"
@@ -15,6 +16,7 @@ C = Dialect(
     functions={
         **{name: f"{name}f" for name in ("ceil", "cos", "exp", "expm1", "floor", "log", "log1p")},
         **{name: f"{name}f" for name in ("pow", "sin", "sqrt", "tan", "tanh", "exp2", "atan2")},
+        **{name: f"{name}f" for name in ("acos", "asin", "atan", "cosh", "sinh")},
         **{"abs": "fabsf", "max": "larger", "min": "smaller", "sign": "sign_of", "rem": "fmodf"},
         **{"abs_int": "abs", "max_int": "larger_int", "min_int": "smaller_int"},
         **{"sign_int": "sign_of_int", "round_even": "rintf", "round_away": "roundf"},

@@ -212,6 +212,12 @@ def _inverse_root(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str)
     )
 
 
+def _logistic(dialect: Dialect, _: Any, inputs: Sequence[Value], dtype: str) -> Value:
+    power = dialect.call("exp", [_negative(dialect, _, inputs, dtype)], dtype).code
+    one = f"1.0{dialect.suffix}"
+    return Value(f"{one} / ({one} + {power})", dtype, PRODUCT)
+
+
 def _round(dialect: Dialect, params: Any, inputs: Sequence[Value], dtype: str) -> Value:
     even = params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN
     return dialect.call("round_even" if even else "round_away", inputs, dtype)
@@ -239,6 +245,7 @@ _WRITTEN: dict[str, Callable[..., Value]] = {
     "rem": _remainder,
     "shift_right_arithmetic": _shift,
     "rsqrt": _inverse_root,
+    "logistic": _logistic,
     "round": _round,
     "integer_pow": _power,
 }

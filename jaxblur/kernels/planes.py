@@ -18,12 +18,12 @@ from .inlining import SAME, live, opened
 from .reads import place_primitive, read_table, texel_of
 
 ELEMENTWISE = {
-    *("abs", "add", "add_any", "and", "atan2", "cbrt", "ceil", "clamp", "convert_element_type"),
-    *("cos", "div", "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow"),
-    *("is_finite", "le", "log", "log1p", "logistic", "lt", "max", "min", "mul", "ne", "neg", "not"),
-    *("or", "pow", "rem", "round", "rsqrt", "select_n", "shift_left", "sign", "sin", "sqrt"),
-    *("shift_right_arithmetic", "shift_right_logical", "square", "stop_gradient", "sub", "tan"),
-    *("tanh", "xor"),
+    *("abs", "acos", "acosh", "add", "add_any", "and", "asin", "asinh", "atan", "atan2", "atanh"),
+    *("cbrt", "ceil", "clamp", "convert_element_type", "cos", "cosh", "div", "eq", "erf", "exp"),
+    *("exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p"),
+    *("logistic", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rem", "round"),
+    *("rsqrt", "select_n", "shift_left", "shift_right_arithmetic", "shift_right_logical", "sign"),
+    *("sin", "sinh", "sqrt", "square", "stop_gradient", "sub", "tan", "tanh", "xor"),
 }
 
 

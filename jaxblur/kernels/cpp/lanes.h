@@ -110,13 +110,25 @@ static inline Floats fabsf(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
     for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k]);   \
     return result;                                              \
   }
+LANE_BY_LANE(acosf)
+LANE_BY_LANE(acoshf)
+LANE_BY_LANE(asinf)
+LANE_BY_LANE(asinhf)
+LANE_BY_LANE(atanhf)
+LANE_BY_LANE(cbrtf)
 LANE_BY_LANE(ceilf)
 LANE_BY_LANE(cosf)
+LANE_BY_LANE(coshf)
+LANE_BY_LANE(erff)
 LANE_BY_LANE(expf)
+LANE_BY_LANE(exp2f)
+LANE_BY_LANE(expm1f)
 LANE_BY_LANE(log1pf)
 LANE_BY_LANE(rintf)
 LANE_BY_LANE(roundf)
+LANE_BY_LANE(sinhf)
 LANE_BY_LANE(sqrtf)
+LANE_BY_LANE(tanf)
 LANE_BY_LANE(tanhf)
 
 /* Arctangent, within two units in the last place [Cephes]: by a polynomial below tan(pi/8), to which
@@ -187,6 +199,7 @@ static inline Floats logf(Floats a) {
     for (int k = 0; k < LANES; ++k) result[k] = ::name(a[k], b[k]); \
     return result;                                                  \
   }
+LANE_BY_LANE_OF_TWO(atan2f)
 LANE_BY_LANE_OF_TWO(fmodf)
 LANE_BY_LANE_OF_TWO(powf)
 
