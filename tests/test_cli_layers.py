@@ -244,7 +244,7 @@ def test_layers_given_back_to_front_are_told(files):
         (("hero.exr:villain", "street.exr"), "hero.exr: no layer 'villain'"),
         (("hero.exr", "street.exr", "--holdout", "3"), "--holdout 3: no layer of that name; there"),
         (("hero.exr", "--holdout", "hero"), "--holdout: nothing is left to be seen"),
-        (("hero.exr", "small.exr"), "small.exr: the data window is 8x6 at (0, 0), but that of her"),
+        (("hero.exr", "small.exr"), "small.exr: the display window is 8x6 at (0, 0), but that of"),
         (("hero.exr", "street.exr", "./hero.exr"), "hero.exr: layer 3 is layer 1 again; leave it"),
         (("hero.exr", "street.exr", "--split", "even"), "--split: layers are blurred by layered"),
         (("hero.exr", "street.exr", "--focus", "4"), "--focus: layers are blurred by motion alone"),

@@ -278,6 +278,31 @@ def test_layers_put_neighbors_in_place(tmp_path):
     assert images[0].min() > 0.01
 
 
+@pytest.mark.slow
+def test_layers_of_several_data_windows_are_blurred_in_one_that_holds_them(tmp_path):
+    """Where all layers know what the full ones show, the result is that of the full ones."""
+    hero, back = element_at(2), channels_at(1)
+    full = [
+        write_part(tmp_path / f"full_{name}.exr", each, DISPLAY)
+        for name, each in (("hero", hero), ("set", back))
+    ]
+    rows, columns = np.nonzero(hero["A"])
+    left, top = int(columns.min()), int(rows.min())
+    tight = (left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top)
+    small = write_part(tmp_path / "hero.exr", hero, tight)
+    region = write_part(tmp_path / "set.exr", back, (4, 2, 30, 16))
+    images = []
+    for layers in (full, (small, full[1]), (small, region)):
+        out = tmp_path / "out.exr"
+        outcome = run("layers", *layers, "-o", out, "--overwrite", *FEW)
+        assert outcome.status == 0 and "cut off" not in outcome.err, outcome
+        images.append(exr.read_image(out))
+    assert exr.inspect(out).parts[0].data_window == (4, 2, 30, 16)
+    np.testing.assert_array_equal(images[1], images[0])
+    # At its edges less is known of what hides behind the hero.
+    np.testing.assert_allclose(images[2][4:-4, 4:-4], images[0][6:14, 8:30], atol=0.002)
+
+
 PICTURES = ("out.tif", "out.png", "out.jpg")
 
 
@@ -417,13 +442,19 @@ def test_views_in_parts_keep_their_own_windows(tmp_path):
 
 
 @pytest.mark.slow
-def test_layers_say_that_a_blur_is_cut_off(tmp_path):
-    hero = write_part(tmp_path / "hero.exr", element_at(2), TIGHT)
-    back = write_part(tmp_path / "set.exr", channels_at(2), TIGHT)
-    command = ("layers", hero, back, "-o", tmp_path / "out.exr", *FEW, "--shutter", "1")
-    outcome = run(*command)
-    assert outcome.status == 0, outcome
-    assert outcome.err.count("its blur is cut off there") == 1
+def test_the_blur_of_a_cropped_layer_is_not_cut_off(tmp_path):
+    images = []
+    for window in (TIGHT, DISPLAY):
+        hero = write_part(tmp_path / "hero.exr", element_at(2), window)
+        shade = write_part(tmp_path / "shade.exr", element_at(2), TIGHT)
+        command = ("layers", hero, shade, "-o", tmp_path / "out.exr", *FEW, "--shutter", "1")
+        outcome = run(*command, "--overwrite")
+        assert outcome.status == 0 and "cut off" not in outcome.err, outcome
+        windows = exr.windows_of(exr.inspect(tmp_path / "out.exr"), "R")
+        assert windows.display == DISPLAY
+        images.append(exr.put_into(exr.read_image(tmp_path / "out.exr"), windows.data, DISPLAY))
+    np.testing.assert_allclose(*images, atol=1e-5)
+    assert images[0][:, 25:].max() > 0.05
 
 
 @pytest.mark.slow

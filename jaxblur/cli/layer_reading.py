@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import functools
 import itertools
 import logging
 import pathlib
@@ -10,6 +11,7 @@ from typing import Any
 
 from . import sources, stack, strength
 from .arguments import CommandError
+from .shutter import reach_of
 
 LOG = logging.getLogger("jaxblur")
 
@@ -51,6 +53,7 @@ def read(arguments: argparse.Namespace) -> tuple[tuple[stack.ReadLayer, ...], st
         layers += found
         selections.append(selects)
         motions += [f"{found[0].name}: {motion}"] if motion else []
+    layers = _in_one_window(arguments, layers)
     _check_alike(layers)
     _warn_of_order([layer for layer in layers if not _is_still(arguments, layer)])
     return tuple(layers), "; ".join(motions), any(selections)
@@ -86,7 +89,6 @@ def _read_place(
     buffers = _with_alpha(path, place, buffers, last)
     if not place.still:
         buffers, motion, selects = strength.apply(here, buffers)
-        exr.warn_cropped(path, buffers)
     return [stack.ReadLayer(path, place.layer, buffers, place.holdout, number)], motion, selects
 
 
@@ -215,20 +217,34 @@ def _is_alpha(channel: str) -> bool:
     return channel.rpartition(".")[2].upper() in ("A", "ALPHA")
 
 
-def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
-    """Reject layers whose windows or channels differ."""
+def _in_one_window(
+    arguments: argparse.Namespace, layers: Sequence[stack.ReadLayer]
+) -> list[stack.ReadLayer]:
+    """The layers in one data window, which holds all of them and their blur."""
     from jaxblur import exr
 
     first = layers[0]
-    window = first.buffers.windows.data
+    display = first.buffers.windows.display
     for layer in layers[1:]:
-        if (other := layer.buffers.windows.data) != window:
+        if (other := layer.buffers.windows.display) != display:
             raise exr.JaxblurIOError(
                 layer.path,
-                f"{_about(layer)}the data window is {exr.window_words(other)}, but that of "
-                f"{first.name} is {exr.window_words(window)}; give both the same, as oiiotool IN "
-                "--croptofull -o OUT does.",
+                f"{_about(layer)}the display window is {exr.window_words(other)}, but that of "
+                f"{first.name} is {exr.window_words(display)}; render both at one size.",
             )
+    reach = reach_of(arguments)
+    wanted = functools.reduce(
+        exr.union, [exr.blur_window(layer.buffers, reach) for layer in layers]
+    )
+    return [layer._replace(buffers=exr.buffers_in(layer.buffers, wanted)) for layer in layers]
+
+
+def _check_alike(layers: Sequence[stack.ReadLayer]) -> None:
+    """Reject layers whose channels differ."""
+    from jaxblur import exr
+
+    first = layers[0]
+    for layer in layers[1:]:
         count, expected = layer.buffers.color.shape[-1], first.buffers.color.shape[-1]
         if count != expected:
             raise exr.JaxblurIOError(

@@ -13,7 +13,7 @@ from . import layer_reading, posts, sources, stack, strength, view_files
 from .arguments import CommandError
 from .colors import shown_colors
 from .disparity import disparity_of
-from .shutter import Exposure
+from .shutter import Exposure, reach_of
 from .windows import in_window
 
 LOG = logging.getLogger("jaxblur")
@@ -164,10 +164,8 @@ def _with_room(arguments: argparse.Namespace, source: Source) -> Source:
     if getattr(arguments, "shares_file", False):
         exr.warn_cropped(source.path, source.buffers)
         return source
-    exposure = getattr(arguments, "exposure", None)
-    reach = 1.0 if exposure is None else exposure.reach
     spread = posts.spread_of(arguments, source.buffers)
-    return placed(source, exr.blur_window(source.buffers, reach, spread))
+    return placed(source, exr.blur_window(source.buffers, reach_of(arguments), spread))
 
 
 def load(arguments: argparse.Namespace, settings: Settings, source: Source | None = None) -> Loaded:
@@ -193,9 +191,9 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
     buffers = source.buffers
     truth = shown_truth(arguments, buffers.windows)
     velocity = buffers.velocity
-    exposure = getattr(arguments, "exposure", None)
     # The radius limits the displacement at the longest time from the frame.
-    seen = velocity if exposure is None else velocity * np.float32(exposure.reach)
+    reach = reach_of(arguments)
+    seen = velocity if reach == 1 else velocity * np.float32(reach)
     speeds = vectors.speed_statistics(seen, settings.radius)
     _warn_of_rest(arguments, source, speeds.percentiles[100.0])
     path, named = arguments.input, buffers
@@ -209,7 +207,7 @@ def load(arguments: argparse.Namespace, settings: Settings, source: Source | Non
         float(np.hypot(velocity[..., 0], velocity[..., 1]).mean()),
         source.states,
         shutter=arguments.shutter,
-        exposure=exposure,
+        exposure=getattr(arguments, "exposure", None),
         lens=posts.lens_of(arguments, buffers.windows) if posts.looks_through(arguments) else None,
         motion=source.motion,
         ranks=source.ranks,

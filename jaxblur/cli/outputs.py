@@ -240,7 +240,7 @@ def _write_exr(
 def _write_composite(
     output: pathlib.Path, image: Any, notes: Mapping[str, str], loaded: Loaded, unchanged: Any
 ) -> None:
-    """Write the blurred layers with the windows and the metadata of the front one."""
+    """Write the blurred layers with the metadata of the front one."""
     import numpy as np
 
     from jaxblur import exr
@@ -255,6 +255,7 @@ def _write_composite(
         dtype="half" if all(channel.type == "half" for channel in colors) else "float",
         attributes=notes,
         like=(front.path, colors[0].part) if front.path.suffix.lower() == ".exr" else None,
+        window=loaded.buffers.windows.data,
         unchanged=unchanged,
     )
 

@@ -252,6 +252,12 @@ def settle(arguments: argparse.Namespace) -> None:
     arguments.exposure = Exposure(open, close, arguments.readout or 0.0, curve or "box", points)
 
 
+def reach_of(arguments: argparse.Namespace) -> float:
+    """The longest time from the frame at which light comes in, in half exposures."""
+    exposure = getattr(arguments, "exposure", None)
+    return 1.0 if exposure is None else exposure.reach
+
+
 def option_of(arguments: argparse.Namespace) -> str:
     """An option that asks for a shutter that is no centered box, for messages."""
     given = [name for name in reversed(OPTIONS) if getattr(arguments, name, None) is not None]

@@ -104,6 +104,7 @@ from .windows import (
     overlap as overlap,
     put_into as put_into,
     ranks_in as ranks_in,
+    union as union,
     warn_cropped as warn_cropped,
     window_words as window_words,
     windows_of as windows_of,

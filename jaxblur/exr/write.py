@@ -197,6 +197,7 @@ def write_channels(
     dtype: Literal["half", "float"] | Mapping[str, Literal["half", "float"]] = "float",
     attributes: Mapping[str, str | int | float] | None = None,
     like: tuple[PathLike, int] | None = None,
+    window: Window | None = None,
     unchanged: FileStates | None = None,
 ) -> None:
     """Write named channels as a single-part EXR with zip compression, atomically.
@@ -207,11 +208,12 @@ def write_channels(
         dtype: type of all channels, or by name (float where not named).
         attributes: metadata to add.
         like: EXR file, flat or deep, and number of its part, whose windows and metadata are taken.
+        window: data window of the channels in the display window of ``like``, if it is another.
         unchanged: as `write_image`.
 
     Raises:
-        JaxblurIOError: writing failed, or the size is not that of ``like``, or an input has
-            changed.
+        JaxblurIOError: writing failed, or the size is not that of ``like`` or of `window`, or an
+            input has changed.
         ValueError: no channels, or sizes differ.
     """
     last_check = unchanged.check if unchanged is not None else None
@@ -219,6 +221,8 @@ def write_channels(
     if like is not None:
         refuse_overwrite(path, like[0])
         header = _header_like(*like)
+        if window is not None:
+            header.x, header.y, header.width, header.height = window
     _write_channels(path, channels, dtype, attributes, last_check, header)
 
 
