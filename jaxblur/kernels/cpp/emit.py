@@ -24,6 +24,8 @@ LANES = pathlib.Path(__file__).with_name("lanes.h")
 
 _BUFFERS = {"float32": "float", "int32": "int32_t", "bool": "uint8_t"}
 _SAMPLE_NUMBER = Scalar("i", "int32", Level.SAMPLE)
+_OWN_NUMBER = Scalar("i", "int32", Level.TAP)
+"""Of a sample that each pixel chooses for itself."""
 _INDEX = jax.ShapeDtypeStruct((), jnp.int32)
 
 
@@ -109,6 +111,9 @@ class _Program:
         self._numbers["APART"] = 0
         self._numbers |= {"ARGUMENTS_READ": first + len(operands.tables), "ELEMENT": "float"}
         self._rows_of_three: list[int] = []
+        self._all_move = True
+        self._choice: list[str] = []
+        self._bits = any(kind.dtype == "bool" for kind in operands.local)
 
     def _pointer(self, position: int, kind: Kind) -> str:
         if kind.dtype not in _BUFFERS:
@@ -161,6 +166,7 @@ class _Program:
         for k, value in enumerate(rest):
             scope.statements.append(f"results[{k}] = {_wide(value)};")
         self._numbers["REST"] = len(rest)
+        self._all_move = where.number is not None
         self._where, self._before = scope, self.writer.enter()
 
     def loop(self, count: int, limit: Value | None) -> None:
@@ -176,9 +182,16 @@ class _Program:
             code = f"to_ints({code})" if limit.dtype == "float32" else code
             self.writer.pixel.statements.append(f"last = largest({code} & moving);")
 
-    def leave_out_unless(self, counts: Value) -> None:
-        """Leave out samples that count for no pixel of a vector."""
-        self.writer.tap.statements.append(f"if (!any({_wide(counts)} & moving)) continue;")
+    def choose(self, counts: Value) -> None:
+        """Each pixel takes only the samples that count for it.
+
+        Args:
+            counts: whether a sample does; what was written for it is written apart from the samples.
+        """
+        tap = self.writer.tap
+        tap.statements.append(f"left |= {_wide(counts)} & moving & (1 << (i - some));")
+        self._choice = [str(self.writer.sample), str(tap)]
+        self.writer.begin_samples()
 
     def sums(self, terms: Sequence[Value]) -> list[Scalar]:
         """Sum terms over the samples."""
@@ -190,7 +203,9 @@ class _Program:
             if term.number is not None and not np.any(term.number):
                 sums.append(term)
                 continue
-            tap.statements.append(f"sums[{k}] += {widened(term, Level.TAP).code};")
+            code = widened(term, Level.TAP).code
+            code = f"(counts ? {code} : Floats{{}})" if self._choice else code
+            tap.statements.append(f"sums[{k}] += {code};")
             sums.append(Scalar(f"sums[{k}]", "float32", Level.PIXEL))
         self.writer.enter()
         return sums
@@ -241,12 +256,15 @@ class _Program:
             "ARGUMENTS": [*self._declarations, str(writer.uniform)],
             "MOVING": [str(self._where)],
             "PIXEL": [str(self._before)] if self._before is not finish else [],
+            "CHOICE": self._choice,
             "SAMPLE": [str(writer.sample)],
             "TAP": [str(writer.tap)],
             "FINISH": [str(finish)],
         }
         self._numbers |= {"KEPT": kept, "IMAGE": int(is_image)}
         numbers = self._numbers | {"TABLES": tables, "RESULTS": len(results)}
+        numbers["CHOOSES"] = int(bool(self._choice))
+        numbers["PACKED"] = int(not (tables or self._all_move or self._bits))
         numbers["ROWS_OF_THREE"] = ", ".join(map(str, [*self._rows_of_three, 0]))
         texts = {name: "\n".join(filter(None, lines)) for name, lines in parts.items()}
         texts |= {name: str(number) for name, number in numbers.items()}
@@ -324,11 +342,12 @@ def emit_gather(stages: Stages, operands: Operands, kept: int = 0, is_image: boo
     program.loop(stages.samples, limit)
     place, local, tables, _ = shapes
     shapes_of_sample = _INDEX, place, prepared_shapes, tables
-    of_sample = _SAMPLE_NUMBER, program.place, prepared, program.tables
+    number, of_place = _SAMPLE_NUMBER, (program.place, prepared, program.tables)
     if stages.counts is not None:
-        counts, _ = program.write(stages.counts, shapes_of_sample, of_sample)
-        program.leave_out_unless(counts)
-    terms, term_shapes = program.write(stages.sample, shapes_of_sample, of_sample)
+        counts, _ = program.write(stages.counts, shapes_of_sample, (number, *of_place))
+        program.choose(counts)
+        number = _OWN_NUMBER
+    terms, term_shapes = program.write(stages.sample, shapes_of_sample, (number, *of_place))
     sums = program.sums(list(terms))
     results, _ = program.write(
         stages.finish,

@@ -22,6 +22,8 @@ enum {
   ARGUMENTS = @ARGUMENTS_READ@ + (KEPT > 0),
   TABLES = @TABLES@, /* results that taps add to anywhere, or leave their marks in */
   APART = @APART@, /* number of samples if each writes to a share of the tables of its own, or 0 */
+  PACKED = @PACKED@, /* whether pixels that move among many that do not wait for others */
+  SAMPLES_AT_ONCE = 31, /* that are chosen from */
   ROWS_AT_ONCE = 4, /* rows of a strip that a thread takes at a time: a piece */
   MOST_PARTS_WITH_TABLES = 8 /* each has tables of its own */
 };
@@ -97,34 +99,85 @@ static inline void store_results(const Job* job, int64_t pixel, Ints moving,
   }
 }
 
-static void sum_row(const Job* job, Element* const* tables, const int row, const int from,
-                    const int until, const int32_t begin, const int32_t end) {
+/* Results of pixels anywhere. */
+static inline void store_apart(const Job* job, Ints own, const Floats* results, int lanes) {
+  for (int lane = 0; lane < lanes; ++lane)
+    for (int k = 0; k < RESULTS; ++k) {
+      if (IMAGE) job->results[0][(int64_t)own[lane] * RESULTS + k] = results[k][lane];
+      else job->results[k][own[lane]] = results[k][lane];
+    }
+}
+
+/* Some pixels of neighboring rows, a vector at a time. Where few of a vector move, they wait until
+   there are enough of them for a vector of their own, so that its lanes are not idle. */
+static void sum_rows(const Job* job, Element* const* tables, int row, const int below,
+                     const int from, const int until, const int32_t begin, const int32_t end) {
   (void)tables;
-  const int64_t start = (int64_t)row * job->width;
-  const Ints y = wide((int32_t)row);
 @ARGUMENTS@
-  for (int first = from; first < until; first += LANES) {
-    const int lanes = until - first < LANES ? until - first : LANES;
+  int32_t rows[2 * LANES], columns[2 * LANES];
+  int waiting = 0;
+  int first = from;
+  while (row < below || waiting) {
+    const bool apart = PACKED && (waiting >= LANES || row == below);
+    const int next = until - first;
+    const int lanes = apart ? min_int(waiting, LANES) : next < LANES ? next : LANES;
+    const int64_t start = (int64_t)row * job->width;
     const int64_t pixel = start + first;
-    /* Lanes beyond the end of the row compute its last pixel again, so that they read inside. */
+    const bool more = first + LANES + 4 <= until;
+    /* Lanes beyond the last compute that one again, so that they read inside. */
     const Ints inside = min_int(lane_numbers(), wide(lanes - 1));
-    const Ints x = first + inside;
-    const Ints own = (int32_t)pixel + inside;
-    (void)x, (void)y, (void)own;
+    Ints x = first + inside, y = wide((int32_t)row);
+    if (apart) {
+      waiting -= lanes;
+      x = read(columns + waiting, inside), y = read(rows + waiting, inside);
+    } else if ((first += LANES) >= until) {
+      first = from, ++row;
+    }
+    const Ints own = y * (int32_t)job->width + x;
+    (void)x, (void)y, (void)own, (void)pixel;
     Floats results[RESULTS + 1] = {};
+    if (PACKED && !apart) {
+@MOVING@
+      const uint32_t these = lanes_of(moving) & ((1u << lanes) - 1);
+      const int count = __builtin_popcount(these);
+      if (4 * count < 3 * LANES) {
+        store_results(job, pixel, wide(REST > 0), results, lanes, more);
+        for (uint32_t left = these; left; left &= left - 1, ++waiting) {
+          const int lane = __builtin_ctz(left);
+          rows[waiting] = y[lane], columns[waiting] = x[lane];
+        }
+        continue;
+      }
+    }
 @MOVING@
     if (any(moving)) {
       Floats sums[SUMS + 1] = {};
       int32_t last = COUNT;
 @PIXEL@
+#if @CHOOSES@
+      /* Lanes take the samples that count for them, whatever the others take. */
+      for (int32_t some = 0; some < last; some += SAMPLES_AT_ONCE) {
+        Ints left = {}; /* a bit each */
+        for (int32_t i = some; i < min_int(last, some + SAMPLES_AT_ONCE); ++i) {
+@CHOICE@
+        }
+        while (any(left)) {
+          const Ints counts = left != 0, i = some + lowest_bit(left);
+          left &= left - 1;
+@SAMPLE@
+@TAP@
+        }
+      }
+#else
       for (int32_t i = begin; i < min_int(last, end); ++i) {
 @SAMPLE@
 @TAP@
       }
+#endif
 @FINISH@
     }
-    const Ints computed = REST ? wide(true) : moving;
-    store_results(job, pixel, computed, results, lanes, first + LANES + 4 <= until);
+    if (apart) store_apart(job, own, results, lanes);
+    else store_results(job, pixel, REST ? wide(true) : moving, results, lanes, more);
   }
 }
 
@@ -135,7 +188,7 @@ static void sum_piece(const Job* job, Element* const* tables, int piece, int32_t
   const int row = piece % job->pieces_of_strip * ROWS_AT_ONCE;
   const int until = from + job->strip < job->width ? from + job->strip : job->width;
   const int below = row + ROWS_AT_ONCE < job->height ? row + ROWS_AT_ONCE : job->height;
-  for (int k = row; k < below; ++k) sum_row(job, tables, k, from, until, begin, end);
+  sum_rows(job, tables, row, below, from, until, begin, end);
 }
 
 /* A part is one piece. Where taps add to tables it has tables of its own and every so many pieces,

@@ -92,6 +92,12 @@ static inline uint32_t lanes_of(Ints a) {
 }
 static inline bool any(Ints a) { return lanes_of(a) != 0; }
 
+/* The number of the lowest bit of each lane, from 0 to 30; 0 where there is none. */
+static inline Ints lowest_bit(Ints a) {
+  const Ints exponent = ((Ints)to_floats(a & -a) >> 23) - 127;
+  return a == 0 ? Ints{} : exponent;
+}
+
 static inline int32_t largest(Ints a) {
   int32_t most = 0;
   for (int k = 0; k < LANES; ++k) most = a[k] > most ? a[k] : most;
@@ -406,12 +412,6 @@ template <typename Wide, typename Narrow>
 static inline Wide load(const Narrow* row, int lanes) {
   Wide result;
   for (int k = 0; k < LANES; ++k) result[k] = row[k < lanes ? k : lanes - 1];
-  return result;
-}
-static inline Floats load_floats(const float* row, int lanes) {
-  if (lanes < LANES) return load<Floats>(row, lanes);
-  Floats result;
-  memcpy(&result, row, sizeof result);
   return result;
 }
 static inline void store(float* row, Floats values, int lanes) {

@@ -28,9 +28,9 @@ from .values import (
 )
 
 _LOADS = {
-    "float32": "load_floats({}, lanes)",
-    "int32": "load<Ints>({}, lanes)",
-    "bool": "(load<Ints>({}, lanes) != 0)",
+    "float32": "read_plane({}, own)",
+    "int32": "read_plane({}, own)",
+    "bool": "(load<Ints>({} + pixel, lanes) != 0)",
 }
 _INNER = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2")
 _SAME = ("broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze", "stop_gradient")
@@ -208,8 +208,12 @@ class Writer:
     def __init__(self) -> None:
         self.uniform = Scope()
         self.pixel = Scope(self.uniform)
-        self.sample, self.tap = Scope(self.uniform), Scope()
         self._names = 0
+        self.begin_samples()
+
+    def begin_samples(self) -> None:
+        """Go on in new blocks for what depends on a sample."""
+        self.sample, self.tap = Scope(self.uniform), Scope(self.pixel)
 
     def enter(self) -> Scope:
         """Go on in a block inside the present one, which is returned."""
@@ -265,7 +269,7 @@ class Writer:
         found = self.pixel.find_own(value)
         if found is None:
             if value.channels == 1:
-                code = _LOADS[value.dtype].format(f"{value.code} + pixel")
+                code = _LOADS[value.dtype].format(value.code)
                 found = self.define(code, value.dtype, Level.PIXEL)
             else:
                 base = f"own * {value.channels}"
