@@ -136,8 +136,8 @@ static void sum_rows(const Job* job, Element* const* tables, int row, const int 
     const Ints own = y * (int32_t)job->width + x;
     (void)x, (void)y, (void)own, (void)pixel;
     Floats results[RESULTS + 1] = {};
-    if (PACKED && !apart) {
 @MOVING@
+    if (PACKED && !apart) {
       const uint32_t these = lanes_of(moving) & ((1u << lanes) - 1);
       const int count = __builtin_popcount(these);
       if (4 * count < 3 * LANES) {
@@ -149,7 +149,6 @@ static void sum_rows(const Job* job, Element* const* tables, int row, const int 
         continue;
       }
     }
-@MOVING@
     if (any(moving)) {
       Floats sums[SUMS + 1] = {};
       int32_t last = COUNT;
