@@ -19,7 +19,7 @@ from jaxblur.kernels.tracing import trace
 from tests.helpers import random_frame
 
 FOLDER = Path(__file__).parent / "data" / "kernels"
-PARTS = ("ARGUMENTS", "MOVING", "PIXEL", "SAMPLE", "TAP", "FINISH")
+PARTS = ("ARGUMENTS", "MOVING", "PIXEL", "CHOICE", "SAMPLE", "TAP", "FINISH")
 
 
 class Images(NamedTuple):

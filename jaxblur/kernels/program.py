@@ -236,8 +236,7 @@ def sum_over(
         limit: number of samples of this pixel; the terms of samples from it on must be 0, so that
             they may be left out. None where all N count.
         where: from the number of a sample to whether it counts for this pixel; the terms of the
-            others must be 0, so that those may be left out that count for no pixel nearby. None
-            where all count.
+            others must be 0, so that they may be left out. None where all count.
 
     Returns:
         The sums, in the structure of the terms.

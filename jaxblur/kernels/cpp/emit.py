@@ -166,7 +166,7 @@ class _Program:
         for k, value in enumerate(rest):
             scope.statements.append(f"results[{k}] = {_wide(value)};")
         self._numbers["REST"] = len(rest)
-        self._all_move = where.number is not None
+        self._all_move = isinstance(where, Scalar) and where.number is not None
         self._where, self._before = scope, self.writer.enter()
 
     def loop(self, count: int, limit: Value | None) -> None:
@@ -186,7 +186,7 @@ class _Program:
         """Each pixel takes only the samples that count for it.
 
         Args:
-            counts: whether a sample does; what was written for it is written apart from the samples.
+            counts: whether a sample does; its statements come before those of the samples.
         """
         tap = self.writer.tap
         tap.statements.append(f"left |= {_wide(counts)} & moving & (1 << (i - some));")
