@@ -113,7 +113,7 @@ class _Program:
         self._rows_of_three: list[int] = []
         self._all_move = True
         self._choice: list[str] = []
-        self._bits = any(kind.dtype == "bool" for kind in operands.local)
+        self._leaves_marks = False
 
     def _pointer(self, position: int, kind: Kind) -> str:
         if kind.dtype not in _BUFFERS:
@@ -224,6 +224,7 @@ class _Program:
     def mark(self, marks: Sequence[tuple[Value, Value]], apart: int) -> None:
         """Write the marks of a sample in the one table: (place, mark) pairs of whole numbers."""
         self._numbers |= {"ELEMENT": "int32_t", "APART": apart}
+        self._leaves_marks = True
         self._rows_of_three = [0]
         for place, mark in marks:
             self.writer.tap.statements.append(
@@ -264,7 +265,7 @@ class _Program:
         self._numbers |= {"KEPT": kept, "IMAGE": int(is_image)}
         numbers = self._numbers | {"TABLES": tables, "RESULTS": len(results)}
         numbers["CHOOSES"] = int(bool(self._choice))
-        numbers["PACKED"] = int(not (tables or self._all_move or self._bits))
+        numbers["PACKED"] = int(not (self._leaves_marks or self._all_move))
         numbers["ROWS_OF_THREE"] = ", ".join(map(str, [*self._rows_of_three, 0]))
         texts = {name: "\n".join(filter(None, lines)) for name, lines in parts.items()}
         texts |= {name: str(number) for name, number in numbers.items()}

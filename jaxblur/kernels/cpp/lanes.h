@@ -407,11 +407,9 @@ static inline auto read_plane(const Element* table, Ints index) {
   return result;
 }
 
-/* Lanes beyond the end of a row hold the row's last value; they are never written back. */
-template <typename Wide, typename Narrow>
-static inline Wide load(const Narrow* row, int lanes) {
-  Wide result;
-  for (int k = 0; k < LANES; ++k) result[k] = row[k < lanes ? k : lanes - 1];
+static inline Ints read_bytes(const uint8_t* table, Ints index) {
+  Ints result;
+  for (int k = 0; k < LANES; ++k) result[k] = table[index[k]];
   return result;
 }
 static inline void store(float* row, Floats values, int lanes) {

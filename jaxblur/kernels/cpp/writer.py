@@ -30,7 +30,7 @@ from .values import (
 _LOADS = {
     "float32": "read_plane({}, own)",
     "int32": "read_plane({}, own)",
-    "bool": "(load<Ints>({} + pixel, lanes) != 0)",
+    "bool": "(read_bytes({}, own) != 0)",
 }
 _INNER = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2")
 _SAME = ("broadcast_in_dim", "copy", "expand_dims", "reshape", "squeeze", "stop_gradient")
