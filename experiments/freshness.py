@@ -49,7 +49,7 @@ NOT_RUN = ("011_gpu",)
 SUFFIXES = (".py", ".cc", ".h", ".json")
 """Files that compute; others of a part, such as its README, do not count."""
 
-LINE = re.compile(r"^\*Figures of .*\*$", re.MULTILINE)
+LINE = re.compile(r"^\*Measured on .*\*$", re.MULTILINE)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -179,12 +179,13 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
         if any({then.get(part), now[part]} <= set(known) for known in same.get(part, []))
     ]
     changed = [part for part in differs if part not in rewritten]
-    if not changed:
-        but = ""
-        if rewritten:
-            but = f", but for changes that keep its numbers ({', '.join(rewritten)})"
-        return f"*Figures of {entry['date']}, made by the code as it is{but}.*"
-    return f"*Figures of {entry['date']}. Code that has changed since: {', '.join(changed)}.*"
+    measured = f"*Measured on {entry['date']}"
+    if changed:
+        return f"{measured}. Code changed since then: {', '.join(changed)}.*"
+    if rewritten:
+        since = f"Code changed since then ({', '.join(rewritten)}): the same results, other times"
+        return f"{measured}. {since}.*"
+    return f"{measured}, with the code as it is.*"
 
 
 def with_line(page: str, line: str) -> str:

@@ -65,8 +65,8 @@ class Settings:
                 raise ValueError(f"`{name}` must be at least 1, got {value}.")
             # That of NumPy is another one where it is written out.
             object.__setattr__(self, name, int(value))
-        if not (isinstance(self.spacing, numbers.Real) and 0 <= self.spacing < math.inf):
-            raise ValueError(f"`spacing` must be a number of pixels >= 0, got {self.spacing}.")
+        if not (_is_number(self.spacing) and 0 <= self.spacing < math.inf):
+            raise ValueError(f"`spacing` must be a number of pixels >= 0, got {self.spacing!r}.")
         for name, options in choices_of(type(self)).items():
             value = getattr(self, name)
             if value not in options:
@@ -124,8 +124,8 @@ class GuertinSettings(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        if not 0 < self.temperature < math.inf:
-            raise ValueError(f"`temperature` must be pixels above 0, got {self.temperature}.")
+        if not (_is_number(self.temperature) and 0 < self.temperature < math.inf):
+            raise ValueError(f"`temperature` must be pixels above 0, got {self.temperature!r}.")
         if self.dominant != "soft" and self.temperature != type(self).temperature:
             raise ValueError(
                 f"`temperature` must be left out unless dominant='soft', got {self.temperature} "
@@ -141,6 +141,10 @@ class GuertinSettings(Settings):
     def has_outcomes(self) -> bool:
         """Whether a pixel may read another tile than its own."""
         return self.tile_choice != "own"
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 Kind = TypeVar("Kind", bound=Settings)

@@ -47,13 +47,13 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     freshness.RECORD.write_text("{}")
     freshness.SAME_NUMBERS.write_text("{}")
     freshness.main(["--made", "030_new"])
-    assert page.read_text().splitlines()[2].endswith(", made by the code as it is.*")
+    assert page.read_text().splitlines()[2].endswith(", with the code as it is.*")
     code.write_text(CODE.replace("twice", "two times"))
     freshness.main([])
-    assert page.read_text().splitlines()[2].endswith(", made by the code as it is.*")
+    assert page.read_text().splitlines()[2].endswith(", with the code as it is.*")
     code.write_text(CODE.replace("2 *", "3 *"))
     freshness.main([])
-    assert page.read_text().splitlines()[2].endswith(" Code that has changed since: scenes.*")
+    assert page.read_text().splitlines()[2].endswith(" Code changed since then: scenes.*")
     assert page.read_text().endswith("\n\nText.\n")
 
     # The same numbers as in a checkout that has the former code.
@@ -62,10 +62,10 @@ def test_a_change_of_code_makes_a_page_older(tmp_path, monkeypatch):
     former.write_text(CODE)
     freshness.main(["--same", "scenes", "--as", str(tmp_path / "former")])
     line = page.read_text().splitlines()[2]
-    assert line.endswith("the code as it is, but for changes that keep its numbers (scenes).*")
+    assert line.endswith("since then (scenes): the same results, other times.*")
     code.write_text(CODE.replace("2 *", "4 *"))
     freshness.main(["--same", "scenes", "--as", str(tmp_path / "former")])
     assert page.read_text().splitlines()[2] == line
     code.write_text(CODE.replace("2 *", "5 *"))
     freshness.main([])
-    assert page.read_text().splitlines()[2].endswith(" Code that has changed since: scenes.*")
+    assert page.read_text().splitlines()[2].endswith(" Code changed since then: scenes.*")

@@ -159,10 +159,29 @@ def test_a_name_is_taken_once_and_the_same_object_is_harmless():
         assert names()[:4] == ("guertin2014", "mcguire2012", "pixel_velocity", "layered")
         assert list(FILTERS) == list(names()) and "plain" in FILTERS
         with pytest.raises(ValueError, match="there is a filter 'plain'; choose another name"):
-            register(dataclasses.replace(info))
+            register(dataclasses.replace(info, function=lambda *_, settings, noise: None))
     assert "plain" not in FILTERS
     with pytest.raises(ValueError, match="must be a filter of your own, got 'layered'"):
         jaxblur.filters.unregister("layered")
+
+
+def test_a_function_that_is_defined_again_takes_the_place_of_the_former():
+    """As when the cell of a notebook runs again."""
+
+    def cell(value):
+        def brighter(frame, parameters, *, settings=None, noise=None):
+            return frame.color + value
+
+        return register(FilterInfo(name="brighter", summary="", function=brighter))
+
+    frame = jaxblur.Frame(jnp.zeros((2, 3, 3)), jnp.ones((2, 3)), jnp.zeros((2, 3, 2)))
+    try:
+        for value in (1, 2):
+            info = cell(value)
+            assert filter_info("brighter") is info
+            np.testing.assert_array_equal(FILTERS["brighter"](frame, None), value)
+    finally:
+        jaxblur.filters.unregister("brighter")
 
 
 def test_unknown_filters_are_named_with_a_hint():

@@ -323,8 +323,7 @@ class LayeredParameters:
     Attributes:
         front_sharpness: how strictly one depth is in front of another, per unit of log depth,
             > 0: at 10, ten percent of depth are a full step, at 6.7 sixteen.
-        landing_tolerance: distance in pixels by which a guess may miss the pixel and still land,
-            > 0.
+        landing_tolerance: pixels by which the place that a guess leads to may miss the pixel, > 0.
         own_tolerance: largest difference of velocity within a surface, as a share of the pixel's
             own velocity, > 0.
         surface_sharpness: how strictly depths of one surface agree, per unit of log depth, > 0.
@@ -333,8 +332,8 @@ class LayeredParameters:
         jitter: share of a tap's stratum over which noise moves the tap, 0 to 1.
         distinct: difference in pixels from which another velocity counts as different from the
             pixel's own, > 0.
-        thin_coverage: least share of its pixels that an object of one pixel's width covers, 0 to
-            1; 1 leaves its vectors as they are.
+        thin_coverage: least share of its pixels that an object of one pixel's width covers, above
+            0, at most 1; 1 leaves its vectors as they are.
     """
 
     front_sharpness: float | jax.Array = parameter(

@@ -238,7 +238,8 @@ def register(info: FilterInfo) -> FilterInfo:
     """Make a filter known to the package.
 
     Args:
-        info: the filter. Registering the same object twice is harmless.
+        info: the filter. Registering it twice is harmless; a function that is defined again, by a
+            notebook's cell or a module that is loaded again, takes the place of the former.
 
     Returns:
         The same object.
@@ -253,7 +254,8 @@ def register(info: FilterInfo) -> FilterInfo:
         raise ValueError(
             f"`name` must be a word of letters, digits and underscores, got {info.name!r}."
         )
-    if _registered.get(info.name, info) is not info:
+    known = _registered.get(info.name)
+    if known not in (None, info) and _home(known.function) != _home(info.function):
         raise ValueError(
             f"`name` must be new, but there is a filter {info.name!r}; choose another name, or "
             "call jaxblur.filters.unregister first."
@@ -271,6 +273,14 @@ def register(info: FilterInfo) -> FilterInfo:
     infos_of(info.parameters)
     _registered[info.name] = info
     return info
+
+
+def _home(function: Callable[..., object] | str) -> str:
+    """Where a function is defined, as ``module:name``."""
+    if isinstance(function, str):
+        return function
+    name = getattr(function, "__qualname__", repr(function))
+    return f"{function.__module__}:{name}"
 
 
 def _check_signature(function: Callable[..., object]) -> None:
