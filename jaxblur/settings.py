@@ -23,8 +23,10 @@ Backend = Literal["auto", "native", "xla"]
 class Settings:
     """Static settings that every filter has; hashable, equal settings share one compilation.
 
-    A filter with further choices has a subclass of its own, such as `GuertinSettings`: a frozen,
-    keyword-only dataclass whose fields have defaults, choices annotated as ``Literal``.
+    A filter with other defaults or further choices has a subclass of its own, such as
+    `LayeredSettings` or `GuertinSettings`: a frozen, keyword-only dataclass whose fields have
+    defaults, choices annotated as ``Literal``. It takes plain `Settings` too, and then all of their
+    values, so that ``Settings(samples=105)`` has a radius of 40 px for every filter.
 
     Attributes:
         samples: taps per pixel, N or S in the papers; McGuire 2012 needs an odd number.
@@ -86,6 +88,33 @@ class Settings:
     def has_outcomes(self) -> bool:
         """Whether the filter draws one of several outcomes at a pixel, such as a tile."""
         return False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class McGuireSettings(Settings):
+    """Settings of `jaxblur.mcguire2012`; the defaults are those of the paper.
+
+    Raises:
+        ValueError: a setting is out of range or unknown.
+    """
+
+    samples: int = 15
+    radius: int = 20
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LayeredSettings(Settings):
+    """Settings of `jaxblur.layered` and `jaxblur.blur_layers`.
+
+    A radius costs no time, since there are no tiles: it is the longest half-spread that is
+    followed.
+
+    Raises:
+        ValueError: a setting is out of range or unknown.
+    """
+
+    radius: int = 160
+    fetch: Fetch = "bilinear"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -154,7 +183,7 @@ def checked_settings(settings: Settings, kind: type[Kind], filter: str = "the fi
     """Settings as a filter takes them.
 
     Args:
-        settings: of that kind, or plain `Settings`, whose missing choices become the defaults.
+        settings: of that kind, or plain `Settings`, to which the choices of the kind are added.
         kind: the class that the filter takes: `Settings` or a subclass.
         filter: its name, for the message.
 

@@ -1,5 +1,7 @@
 from ._arguments import (
     GuertinSettings as GuertinSettings,
+    LayeredSettings as LayeredSettings,
+    McGuireSettings as McGuireSettings,
     Settings as Settings,
     takes as takes,
 )

@@ -22,7 +22,13 @@ from jax import core
 from ..frame import check_frame_type
 from ..noise import Noise
 from ..nonfinite import refuse
-from ..settings import GuertinSettings, Settings, checked_settings
+from ..settings import (
+    GuertinSettings,
+    LayeredSettings,
+    McGuireSettings,
+    Settings,
+    checked_settings,
+)
 from .parameters import check_parameters_type, infos_of
 from .registry import FilterInfo, filter_info, names
 
@@ -108,8 +114,8 @@ def _known_to_jax(kind: type[Settings]) -> None:
 
 
 # The public names of these classes load this module, so that settings are static from the first.
-_known_to_jax(Settings)
-_known_to_jax(GuertinSettings)
+for _kind in (Settings, GuertinSettings, McGuireSettings, LayeredSettings):
+    _known_to_jax(_kind)
 
 
 def checking(function: Callable[..., Any], info: FilterInfo) -> Callable[..., Any]:

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
-from ..settings import GuertinSettings, Settings
+from ..settings import GuertinSettings, LayeredSettings, McGuireSettings, Settings
 from .parameters import GuertinParameters, LayeredParameters, McGuireParameters
 from .registry import FilterInfo, register
 
@@ -135,7 +135,7 @@ BUILTIN: Sequence[FilterInfo] = (
         summary="along the dominant velocity of the neighborhood [McGuire et al. 2012]",
         function="jaxblur.filters.mcguire2012:mcguire2012",
         parameters=McGuireParameters,
-        settings=Settings(samples=15, radius=20),
+        settings=McGuireSettings(),
         check=needs_odd_samples,
         row_reach=_mcguire_rows,
     ),
@@ -150,7 +150,7 @@ BUILTIN: Sequence[FilterInfo] = (
         summary="by time slices, in each the nearest surface that covers the pixel",
         function="jaxblur.filters.layered:layered",
         parameters=LayeredParameters,
-        settings=Settings(radius=160, fetch="bilinear"),
+        settings=LayeredSettings(),
         check=check_layered,
         row_reach=_layered_rows,
         takes_neighbors=True,

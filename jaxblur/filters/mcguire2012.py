@@ -11,7 +11,7 @@ from ..frame import Frame, check_frame, check_parameters, register_record
 from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
-from ..settings import Settings, checked_settings
+from ..settings import McGuireSettings, Settings, checked_settings
 from ._arguments import takes
 from ._masking import honoring_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
@@ -154,12 +154,12 @@ def _blur(
     )
 
 
-@takes(McGuireParameters, Settings)
+@takes(McGuireParameters, McGuireSettings)
 def mcguire2012(
     frame: Frame,
     parameters: McGuireParameters,
     *,
-    settings: Settings = Settings(samples=15, radius=20),
+    settings: Settings = McGuireSettings(),
     noise: Noise | None = None,
 ) -> jax.Array:
     """Blur along the dominant velocity of the neighborhood.
@@ -187,6 +187,6 @@ def mcguire2012(
         ValueError: shapes disagree, the number of samples is even, the extent is not a scalar, or
             the settings are those of another filter.
     """
-    settings = checked_settings(settings, Settings, "mcguire2012")
+    settings = checked_settings(settings, McGuireSettings, "mcguire2012")
     needs_odd_samples(settings)
     return _blur(frame, parameters, noise, settings=settings)

@@ -16,7 +16,7 @@ from ...kernels import Image, cond_of_values, each_pixel, unchanged
 from ...lens import Lens
 from ...noise import Noise, resolve_noise
 from ...optics import check_lens_record
-from ...settings import Settings, checked_settings
+from ...settings import LayeredSettings, Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
 from .._arguments import refuse_nan_motion, takes
 from .._masking import append_mask, divide_by_mask
@@ -268,12 +268,12 @@ def _layered(
     return blurred if mask is None else divide_by_mask(blurred)
 
 
-@takes(LayeredParameters, Settings, more=("before", "after", "shutter", "exposure", "lens"))
+@takes(LayeredParameters, LayeredSettings, more=("before", "after", "shutter", "exposure", "lens"))
 def layered(
     frame: Frame,
     parameters: LayeredParameters,
     *,
-    settings: Settings = Settings(radius=160, fetch="bilinear"),
+    settings: Settings = LayeredSettings(),
     noise: Noise | None = None,
     before: Frame | None = None,
     after: Frame | None = None,
@@ -290,10 +290,10 @@ def layered(
         frame: color (H, W, C), depth (H, W), velocity (H, W, 2) half-spread in pixels; a path, if
             there is one, is followed instead of the velocity, whose derivative is 0 then.
         parameters: see `LayeredParameters`.
-        settings: samples (three to a slice, the rest left over), radius, spacing, border, fetch,
-            noise and backend. ``bilinear`` mixes the two texels next to a guess, along the axis
-            that its path follows more. ``blend`` mixes what a slice adds for the four texels next
-            to a guess, one guess at a time, the others at their nearest texel.
+        settings: see `LayeredSettings`; three samples to a slice, the rest left over. ``bilinear``
+            mixes the two texels next to a guess, along the axis that its path follows more.
+            ``blend`` mixes what a slice adds for the four texels next to a guess, one guess at a
+            time, the others at their nearest texel.
         noise: replaces the built-in noise; only ``tap`` is used without a lens.
         before: the frame before, sharp, of the same size and channels, with the motion of an
             exposure as long as that of ``frame``. It shows some of what ``frame`` hides; its masked
@@ -335,7 +335,7 @@ def layered_with_hidden(
     parameters: LayeredParameters,
     hidden: ArrayLike | None,
     *,
-    settings: Settings = Settings(radius=160, fetch="bilinear"),
+    settings: Settings = LayeredSettings(),
     noise: Noise | None = None,
 ) -> jax.Array:
     """`layered`, given the colors of surfaces that the frame does not show.
@@ -445,7 +445,7 @@ def _checked(
     settings: Settings,
 ) -> jax.Array:
     """Check what jit does not see, and give neighbors of a masked frame a channel for its mask."""
-    settings = checked_settings(settings, Settings, "layered")
+    settings = checked_settings(settings, LayeredSettings, "layered")
     check_layered(settings)
     given = {name: getattr(others, name) for name in ("before", "after")}
     given = {name: neighbor for name, neighbor in given.items() if neighbor is not None}

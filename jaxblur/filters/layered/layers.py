@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from ...frame import Frame, check_frame, check_parameters
 from ...kernels import At, Image, Outcome, each_pixel, sum_over
 from ...noise import Noise
-from ...settings import Settings, checked_settings
+from ...settings import LayeredSettings, Settings, checked_settings
 from ...shutter import Shutter, check_shutter_record
 from .._arguments import refuse_nan_motion
 from .._sampling import find_texel
@@ -220,7 +220,7 @@ def blur_layers(
     layers: Sequence[Frame | Layer],
     parameters: LayeredParameters | None = None,
     *,
-    settings: Settings = Settings(radius=160, fetch="bilinear"),
+    settings: Settings = LayeredSettings(),
     noise: Noise | None = None,
     shutter: ArrayLike = 0.5,
     exposure: Shutter | None = None,
@@ -263,7 +263,7 @@ def blur_layers(
         _check_layer(number, layer, given[0])
     parameters = LayeredParameters() if parameters is None else parameters
     check_parameters(parameters, LayeredParameters)
-    settings = checked_settings(settings, Settings, "blur_layers")
+    settings = checked_settings(settings, LayeredSettings, "blur_layers")
     check_layered(settings)
     if exposure is not None:
         check_shutter_record(exposure)
