@@ -16,10 +16,11 @@ from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.export
+import jax.numpy as jnp
 import numpy as np
 from jax import core
 
-from ..frame import check_frame_type
+from ..frame import Frame, check_frame, check_frame_type, check_parameters
 from ..noise import Noise
 from ..nonfinite import refuse
 from ..settings import (
@@ -34,6 +35,7 @@ from .registry import FilterInfo, filter_info, names
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Kind = TypeVar("Kind")
 
 _BY_POSITION = ("frame", "parameters")
 
@@ -116,6 +118,25 @@ def _known_to_jax(kind: type[Settings]) -> None:
 # The public names of these classes load this module, so that settings are static from the first.
 for _kind in (Settings, GuertinSettings, McGuireSettings, LayeredSettings):
     _known_to_jax(_kind)
+
+
+def checked_inputs(frame: Frame, parameters: Kind, kind: type[Kind]) -> tuple[Frame, Kind]:
+    """Frame and parameters in one dtype, inside a jitted filter.
+
+    Args:
+        frame: as it was given.
+        parameters: likewise.
+        kind: class of the parameters.
+
+    Returns:
+        The same as floating-point arrays.
+
+    Raises:
+        ValueError: shapes disagree, or a parameter is not a scalar.
+    """
+    check_parameters(parameters, kind)
+    frame = check_frame(frame)
+    return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
 
 
 def checking(function: Callable[..., Any], info: FilterInfo) -> Callable[..., Any]:

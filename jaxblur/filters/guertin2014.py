@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..frame import Frame, check_frame, check_parameters, register_record
+from ..frame import Frame, register_record
 from ..kernels import At, Image, Outcome, cond_of_values, each_pixel, sum_over, unchanged
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm, safe_normalize, shortening
 from ..settings import GuertinSettings, Settings, checked_settings
-from ._arguments import takes
+from ._arguments import checked_inputs, takes
 from ._masking import append_mask, divide_by_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
 from ._weights import (
@@ -364,24 +364,6 @@ def _keep(count: int, frame: Frame, *others: Any) -> jax.Array:
     return jnp.broadcast_to(color, (count, *color.shape))
 
 
-def checked_inputs(frame: Frame, parameters: GuertinParameters) -> tuple[Frame, GuertinParameters]:
-    """Frame and parameters in one dtype.
-
-    Args:
-        frame: as `guertin2014`.
-        parameters: as `guertin2014`.
-
-    Returns:
-        The same as floating-point arrays.
-
-    Raises:
-        ValueError: shapes disagree, or a parameter is not a scalar.
-    """
-    check_parameters(parameters, GuertinParameters)
-    frame = check_frame(frame)
-    return frame, jax.tree.map(lambda p: jnp.asarray(p, frame.color.dtype), parameters)
-
-
 @functools.partial(jax.jit, static_argnames=("settings",))
 def _outcomes(
     frame: Frame,
@@ -391,7 +373,7 @@ def _outcomes(
 ) -> tuple[jax.Array, jax.Array]:
     masked = frame.valid is not None
     frame = append_mask(frame) if masked else frame
-    frame, parameters = checked_inputs(frame, parameters)
+    frame, parameters = checked_inputs(frame, parameters, GuertinParameters)
     (height, width), radius = frame.depth.shape, settings.radius
     moves = anything_moves(frame.velocity)
     if settings.tile_choice == "expected":

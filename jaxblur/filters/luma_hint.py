@@ -10,9 +10,9 @@ from ..kernels import At, Outcome, each_pixel
 from ..noise import Noise
 from ..safe_math import safe_norm
 from ..settings import GuertinSettings, Settings, checked_settings
-from ._arguments import takes
+from ._arguments import checked_inputs, takes
 from ._weights import SPEED_FLOOR
-from .guertin2014 import Images, Scalars, checked_inputs, prepare_images, read_tile
+from .guertin2014 import Images, Scalars, prepare_images, read_tile
 from .parameters import GuertinParameters
 from .tiles import chances_of_tiles
 
@@ -82,7 +82,7 @@ def _hint(
     noise: Noise | None,
     settings: GuertinSettings,
 ) -> jax.Array:
-    frame, parameters = checked_inputs(frame, parameters)
+    frame, parameters = checked_inputs(frame, parameters, GuertinParameters)
     height, width = frame.depth.shape
     images, scalars = prepare_images(frame, settings, noise), Scalars.of(parameters, settings)
     hint = each_pixel(

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..frame import Frame, check_frame, check_parameters, register_record
+from ..frame import Frame, register_record
 from ..kernels import At, Image, Outcome, each_pixel, sum_over
 from ..noise import Noise, resolve_noise
 from ..safe_math import safe_norm
 from ..settings import McGuireSettings, Settings, checked_settings
-from ._arguments import takes
+from ._arguments import checked_inputs, takes
 from ._masking import honoring_mask
 from ._sampling import find_texel, path_samples, read_color, tap_position
 from ._weights import (
@@ -135,10 +135,7 @@ def blur_pixel(
 def _blur(
     frame: Frame, parameters: McGuireParameters, noise: Noise | None, settings: Settings
 ) -> jax.Array:
-    check_parameters(parameters, McGuireParameters)
-    frame = check_frame(frame)
-    dtype = frame.color.dtype
-    parameters = jax.tree.map(lambda p: jnp.asarray(p, dtype), parameters)
+    frame, parameters = checked_inputs(frame, parameters, McGuireParameters)
     height, width = frame.depth.shape
     noise = resolve_noise(noise, settings.noise, height, width)
     run = functools.partial(each_pixel, size=(height, width), backend=settings.backend)
@@ -147,7 +144,7 @@ def _blur(
         color=Image(frame.color),
         motion=Image(run(clamp_motion, images=buffers, settings=settings)),
         dominant=Image(dominant_velocity(frame.velocity, settings.radius, "all")),
-        noise=Image(noise.tap.astype(dtype)),
+        noise=Image(noise.tap.astype(frame.color.dtype)),
     )
     return run(
         blur_pixel, images=images, parameters=parameters, settings=settings, kept=frame.color

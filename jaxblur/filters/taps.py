@@ -12,12 +12,12 @@ from ..kernels import At
 from ..noise import Noise
 from ..safe_math import safe_norm
 from ..settings import GuertinSettings, Settings, checked_settings
+from ._arguments import checked_inputs
 from ._sampling import tap_position
 from .guertin2014 import (
     GuertinParameters,
     Motion,
     Scalars,
-    checked_inputs,
     follows_center,
     prepare_images,
     read_tile,
@@ -91,7 +91,7 @@ def _taps_at(
     noise: Noise | None,
 ) -> Taps:
     """Compiled once for all pixels of frames of one size."""
-    frame, parameters = checked_inputs(frame, parameters)
+    frame, parameters = checked_inputs(frame, parameters, GuertinParameters)
     images = prepare_images(frame, settings, noise)
     at, count = At(row, column), settings.samples
     scalars = Scalars.of(parameters, settings)
