@@ -173,3 +173,8 @@ def test_a_start_that_computes_nothing_does_not_load_jax(arguments):
     loaded = {line.split("|")[-1].strip() for line in result.stderr.splitlines()}
     assert "jaxblur" in loaded
     assert not loaded & {"jax", "jaxlib", "OpenImageIO", "scipy"}
+
+
+def test_every_public_name_loads_after_import_jaxblur_alone():
+    program = "import jaxblur\nfor name in jaxblur.__all__: getattr(jaxblur, name)\n"
+    subprocess.run([sys.executable, "-c", program + "jaxblur.filters.unregister"], check=True)
