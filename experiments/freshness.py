@@ -183,8 +183,8 @@ def line_of(name: str, entry: dict[str, Any]) -> str:
     if changed:
         return f"{measured}. Code changed since then: {', '.join(changed)}.*"
     if rewritten:
-        since = f"Code changed since then ({', '.join(rewritten)}): the same results, other times"
-        return f"{measured}. {since}.*"
+        since = f"Code changed since then ({', '.join(rewritten)})"
+        return f"{measured}. {since}: results are the same, times may differ.*"
     return f"{measured}, with the code as it is.*"
 
 
