@@ -25,7 +25,7 @@ RESULT = FitResult(
     free=("soft_z_extent",),
     minimized="mse error",
     objective={"loss": "mean", "noise_draws": 2},
-    settings=dataclasses.asdict(jaxblur.Settings(samples=15, radius=20)),
+    settings=dataclasses.asdict(jaxblur.McGuireSettings()),
     notes={"shutter": 0.5, "preset": "blender"},
     steps=2,
     interrupted=False,
@@ -74,7 +74,7 @@ def test_an_interrupted_result_has_neither_scores_nor_sensitivity(tmp_path):
 
 def test_what_a_filter_takes():
     assert RESULT.filter_parameters == jaxblur.McGuireParameters(soft_z_extent=0.25)
-    assert RESULT.filter_settings == jaxblur.Settings(samples=15, radius=20)
+    assert RESULT.filter_settings == jaxblur.McGuireSettings()
 
 
 def test_mean_scores():
@@ -90,7 +90,7 @@ def test_a_choice_without_a_fit(tmp_path):
     assert type(choice) is FilterChoice
     assert choice.filter_parameters == jaxblur.McGuireParameters(soft_z_extent=2.0)
     # Settings that are not in the file are those of the filter.
-    assert choice.filter_settings == jaxblur.Settings(samples=9, radius=20)
+    assert choice.filter_settings == jaxblur.McGuireSettings(samples=9)
     RESULT.save(tmp_path / "fitted.toml")
     assert load_choice(tmp_path / "fitted.toml") == RESULT
     with pytest.raises(ValueError, match=rf"{path}: missing key '\w+'; write the file again"):
