@@ -160,8 +160,8 @@ static void sum_rows(const Job* job, Element* const* tables, int row, const int 
         for (int32_t i = some; i < min_int(last, some + SAMPLES_AT_ONCE); ++i) {
 @CHOICE@
         }
-        while (any(left)) {
-          const Ints counts = left != 0, i = some + lowest_bit(left);
+        for (Ints counts = left != 0; any(counts); counts = left != 0) {
+          const Ints i = some + lowest_bit(left);
           left &= left - 1;
 @SAMPLE@
 @TAP@

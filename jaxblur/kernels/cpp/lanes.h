@@ -78,7 +78,7 @@ static inline Ints min_int(Ints a, Ints b) { return a < b ? a : b; }
 static inline int32_t max_int(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline int32_t min_int(int32_t a, int32_t b) { return a < b ? a : b; }
 
-/* The lanes in which a comparison holds, a bit each. */
+/* The lanes in which a comparison holds, a bit each. Of an integer AVX looks at the sign alone. */
 static inline uint32_t lanes_of(Ints a) {
 #if defined(__AVX512F__)
   return _mm512_test_epi32_mask((__m512i)a, (__m512i)a);
