@@ -141,6 +141,8 @@ def test_beyond_the_useful_range_hardly_anything_changes(name, parameter, end):
         ({"name": "layered"}, "there is a filter 'layered'"),
         ({"name": "a b"}, "`name` must be a word"),
         ({"function": "no reference"}, "`function` must be a function or 'module:attribute'"),
+        ({"takes_neighbors": True}, "must take before and after and shutter by name, .*after=None"),
+        ({"takes_shutter": True, "takes_lens": True}, "must take exposure and lens by name"),
         ({"parameters": int}, "`parameters` must be a dataclass or None"),
         ({"parameters": jaxblur.Frame}, "`Frame.color` must have a default made by"),
     ],

@@ -265,7 +265,7 @@ def register(info: FilterInfo) -> FilterInfo:
         if not (callable(value) or _is_reference(value) or (value is None and name == "outcomes")):
             raise ValueError(f"`{name}` must be a function or 'module:attribute', got {value!r}.")
     if callable(info.function):
-        _check_signature(info.function)
+        _check_signature(info)
     if not isinstance(info.settings, Settings):
         raise ValueError(f"`settings` must be a jaxblur.Settings, got {info.settings!r}.")
     if info.check is not None:
@@ -283,15 +283,22 @@ def _home(function: Callable[..., object] | str) -> str:
     return f"{function.__module__}:{name}"
 
 
-def _check_signature(function: Callable[..., object]) -> None:
-    """Reject a filter that lacks an argument with which every filter is called."""
-    arguments = inspect.signature(function).parameters
+def _check_signature(info: FilterInfo) -> None:
+    """Reject a filter that lacks an argument that every filter has, or that its record promises."""
+    wanted = ["settings", "noise"]
+    wanted += ["before", "after", "shutter"] if info.takes_neighbors else []
+    wanted += ["exposure"] if info.takes_shutter else []
+    wanted += ["lens"] if info.takes_lens else []
+    assert callable(info.function)
+    arguments = inspect.signature(info.function).parameters
     takes_more = any(argument.kind is argument.VAR_KEYWORD for argument in arguments.values())
-    lacking = [name for name in ("settings", "noise") if name not in arguments]
+    lacking = [name for name in wanted if name not in arguments]
     if lacking and not takes_more:
+        form = "(frame, parameters, *, settings=jaxblur.Settings(), noise=None"
+        more = "".join(f", {name}=None" for name in wanted[2:])
         raise ValueError(
-            f"`function` must take {' and '.join(lacking)} by name, as every filter does: "
-            "(frame, parameters, *, settings=jaxblur.Settings(), noise=None)."
+            f"`function` must take {' and '.join(lacking)} by name, as its record says: "
+            f"{form}{more})."
         )
 
 
