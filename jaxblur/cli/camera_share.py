@@ -194,5 +194,7 @@ def _compare(arguments: argparse.Namespace, frame: Any, path: Any) -> None:
             "%s: its cameras explain none of its vectors: without their motion half of the pixels "
             "still move by %.1f px, with it by %.1f; check the units of the matrices and of depth, "
             "axes, and frame numbers, or take --camera fit.",
-            *(arguments.input, left, own),
+            arguments.input,
+            left,
+            own,
         )

@@ -63,7 +63,8 @@ def choose(arguments: argparse.Namespace, asked: Choice, loaded: Loaded) -> Choi
             LOG.warning(
                 "lens: discs up to a radius of %.0f px are cut to the radius of %d px; check "
                 "--focus, --f-number and --unit, or give a larger --radius.",
-                *(largest, asked.settings.radius),
+                largest,
+                asked.settings.radius,
             )
     if arguments.radius == 0:
         radius = loaded.speeds.suggested_radius + math.ceil(largest)

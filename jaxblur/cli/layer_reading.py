@@ -139,7 +139,14 @@ def _read_still(arguments: argparse.Namespace) -> Any:
     guess = vectors.Guess(preset, preset.layouts[-1], (), "at rest")
     still = np.zeros((*size, 2), np.float32)
     return exr.Buffers(
-        *(color, np.ones(size, np.float32), still, None, group.channels, None, "flat", guess),
+        color,
+        np.ones(size, np.float32),
+        still,
+        None,
+        group.channels,
+        None,
+        "flat",
+        guess,
         exr.windows_of(info, group.channels[0]),
         pass_channels=passes,
         pass_colors=values,
@@ -282,7 +289,9 @@ def _warn_of_order(layers: Sequence[stack.ReadLayer]) -> None:
             LOG.warning(
                 "%s is given in front of %s, but is farther away in %.0f %% of the pixels that "
                 "both cover; layers go from the front to the back.",
-                *(front.name, back.name, 100 * behind),
+                front.name,
+                back.name,
+                100 * behind,
             )
 
 

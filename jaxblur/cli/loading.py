@@ -351,7 +351,11 @@ def read_truth(arguments: argparse.Namespace, windows: Any, view: str | None) ->
     channels = exr.choose_color(info, layer).channels
     truth = exr.read_image(arguments.truth, layer)
     truth = in_window(
-        *(truth, arguments.truth, channels[0], arguments.input, windows),
+        truth,
+        arguments.truth,
+        channels[0],
+        arguments.input,
+        windows,
         what="the truth",
         outside=0 if exr.is_element(truth, channels) else None,
     )

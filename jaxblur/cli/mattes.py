@@ -67,7 +67,8 @@ def warn_of_sharp(arguments: argparse.Namespace, path: pathlib.Path) -> None:
         LOG.warning(
             "%s: %s stays sharp and does not fit the blurred picture; --cryptomatte blurs it, "
             "--no-cryptomatte leaves it without this warning.",
-            *(path, ", ".join(names)),
+            path,
+            ", ".join(names),
         )
 
 

@@ -300,7 +300,8 @@ def _defocused(arguments: argparse.Namespace, frame: Any, windows: Any) -> Any:
         LOG.warning(
             "defocus: discs up to a radius of %.0f px are cut to %d px; check --focus, --f-number "
             "and --unit.",
-            *(largest, radius),
+            largest,
+            radius,
         )
     return posts.defocus(frame, lens, radius=radius, samples=arguments.lens_samples or 64)
 

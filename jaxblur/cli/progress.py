@@ -85,7 +85,10 @@ def messages_once() -> Iterator[None]:
             if more:
                 LOG.warning(
                     "frame %d and %d more (%s; -v prints each): %s",
-                    *(frame, len(more), frame_ranges(more), text),
+                    frame,
+                    len(more),
+                    frame_ranges(more),
+                    text,
                 )
 
 

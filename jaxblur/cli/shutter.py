@@ -154,7 +154,8 @@ class Exposure(NamedTuple):
         from jaxblur.shutter import Shutter
 
         return Shutter.from_frames(
-            *(self.open, self.close),
+            self.open,
+            self.close,
             exposure=self.close - self.open,
             curve=np.array(self.points, np.float32) if self.points else self.curve,
             readout=self.readout,

@@ -230,7 +230,10 @@ def _warn_of_other(
         if alike and (other < own) != (side == "before"):
             LOG.warning(
                 "--%s: by its number %s is not %s %s; it is used as if it were: check the option.",
-                *(side, source.path, side, arguments.input),
+                side,
+                source.path,
+                side,
+                arguments.input,
             )
     first, second = source.buffers, loaded.buffers
     if side == "after":
@@ -239,7 +242,9 @@ def _warn_of_other(
         LOG.warning(
             "--%s: what %s and %s show differs too much for frames next to each other, as at a "
             "cut; it is used as it is: check the file, or leave it out.",
-            *(side, source.path, arguments.input),
+            side,
+            source.path,
+            arguments.input,
         )
 
 

@@ -343,7 +343,8 @@ class _Builder:
         name = run.traced.name if run.kind != "tiles" else f"{_name_of(run.program)}_of_tiles"
         marks = run.kind == "marks"
         buffer = Buffer(
-            *(name, "int32" if marks else run.traced.results[0]),
+            name,
+            "int32" if marks else run.traced.results[0],
             1 if marks else result.shape[-1],
             size,
         )

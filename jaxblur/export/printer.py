@@ -83,7 +83,8 @@ class Printer:
         indent = "    " * self._depth
         if len(indent) + len(text) > WIDTH and not text.startswith(("//", "/*")):
             lines = textwrap.wrap(
-                *(text, WIDTH),
+                text,
+                WIDTH,
                 initial_indent=indent,
                 subsequent_indent=indent + "        ",
                 break_long_words=False,

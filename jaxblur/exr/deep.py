@@ -66,8 +66,11 @@ class Samples(NamedTuple):
     def take(self, which: np.ndarray) -> Samples:
         """Some of the samples, in an order."""
         return Samples(
-            *(self.pixel[which], self.color[which], self.alpha[which]),
-            *(self.depth[which], self.velocity[which]),
+            self.pixel[which],
+            self.color[which],
+            self.alpha[which],
+            self.depth[which],
+            self.velocity[which],
             None if self.path is None else self.path[which],
         )
 
@@ -142,7 +145,11 @@ def read_deep_layers(
         check_speed(velocity, info.path, guess)
         distance = to_distance(values[:, len(group.channels), None], kind, info.path, channel)
         samples = Samples(
-            *(pixel, color, alpha, distance[:, 0], velocity[:, 0]),
+            pixel,
+            color,
+            alpha,
+            distance[:, 0],
+            velocity[:, 0],
             None if curve is None else curve[:, 0],
         )
         return samples.take(np.lexsort((samples.depth, pixel)))
@@ -153,8 +160,14 @@ def read_deep_layers(
         bands.append(converted(pixel, values))
     return tuple(
         Buffers(
-            *(color, distance, velocity, path[0] if path else None),
-            *(group.channels, channel, kind, guess),
+            color,
+            distance,
+            velocity,
+            path[0] if path else None,
+            group.channels,
+            channel,
+            kind,
+            guess,
             windows_of(info, group.channels[0]),
         )
         for color, distance, velocity, *path in _layers_of(bands, sizes, layers)

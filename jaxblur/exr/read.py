@@ -246,7 +246,14 @@ def read_buffers(
         lost = without_depth(depth_info.path, channel, signed, nonfinite)
         distance = to_distance(stored, kind, depth_info.path, channel)
     return Buffers(
-        *(color, distance, velocity, curve, group.channels, channel, kind, guess),
+        color,
+        distance,
+        velocity,
+        curve,
+        group.channels,
+        channel,
+        kind,
+        guess,
         windows_of(info, group.channels[0]),
         valid=~unknown if unknown.any() else None,
         ignored=Ignored(*(int(np.count_nonzero(where)) for where in (unknown, still, lost))),

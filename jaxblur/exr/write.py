@@ -130,7 +130,13 @@ def write_image(
     else:
         refuse_overwrite(path, like)
         write_like(
-            *(path, pixels, like, changes, decoded, window, sky),
+            path,
+            pixels,
+            like,
+            changes,
+            decoded,
+            window,
+            sky,
             layer=layer,
             color_channels=color_channels,
             keep_extra=extra == "keep",

@@ -174,7 +174,7 @@ def blur_pixel(at: At, images: Images, scalars: Scalars, settings: GuertinSettin
         direction = [jnp.where(second, *pair) for pair in zip(center, along, strict=True)]
         position = tap_position(i, count, jitter) * reach
         texel = find_texel(
-            *(at, position * direction[0], position * direction[1], images.color, settings)
+            at, position * direction[0], position * direction[1], images.color, settings
         )
         other = Motion(*images.motion.read_texel(texel.number))
 
@@ -345,7 +345,11 @@ def _blur(
     def of_choice(choice: Array | None) -> jax.Array:
         scalars = Scalars.of(parameters, settings, choice)
         return each_pixel(
-            *(blur_pixel, (height, width), images, scalars, settings),
+            blur_pixel,
+            (height, width),
+            images,
+            scalars,
+            settings,
             kept=frame.color,
             backend=settings.backend,
         )
@@ -384,7 +388,9 @@ def _outcomes(
     else:
         chances = jnp.ones((1, height, width), frame.color.dtype)
     colors = cond_of_values(
-        *(moves, functools.partial(_blur, settings), functools.partial(_keep, len(chances))),
+        moves,
+        functools.partial(_blur, settings),
+        functools.partial(_keep, len(chances)),
         (frame, noise, parameters, moves),
     )
     return (divide_by_mask(colors) if masked else colors), chances

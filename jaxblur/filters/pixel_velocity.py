@@ -50,9 +50,7 @@ def blur_pixel(at: At, images: Images, _: None, settings: Settings) -> Outcome:
 
     def sample(i: Int[Array, ""]) -> Sums:
         position = tap_position(i, count, jitter)
-        texel = find_texel(
-            *(at, position * velocity_x, position * velocity_y, images.color, settings)
-        )
+        texel = find_texel(at, position * velocity_x, position * velocity_y, images.color, settings)
         counts = (texel.counts & (i < count)).astype(position.dtype)
         colors = read_color(images.color, texel, settings.fetch)
         return Sums(tuple(counts * color for color in colors), counts)
@@ -76,7 +74,11 @@ def _blur(frame: Frame, noise: Noise | None, settings: Settings) -> jax.Array:
     tap_noise = Image(noise.tap.astype(frame.color.dtype))
     images = Images(Image(frame.color), Image(velocity), tap_noise)
     return each_pixel(
-        *(blur_pixel, (height, width), images, None, settings),
+        blur_pixel,
+        (height, width),
+        images,
+        None,
+        settings,
         kept=frame.color,
         backend=settings.backend,
     )

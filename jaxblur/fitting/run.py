@@ -148,7 +148,7 @@ def fit(
     if prior:
         task = _with_prior(task, info.defaults, prior)
     final, interrupted = _descend(
-        *(task, start, data, steps, optimizer, callback, state, resume, plateau, tell)
+        task, start, data, steps, optimizer, callback, state, resume, plateau, tell
     )
     fitted = task.parameters(final.free)
     judged: dict[str, Any] = {"scores": (), "sensitivity": None}

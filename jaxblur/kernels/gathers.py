@@ -186,8 +186,13 @@ def _by_stages(
     finish_planes = stages.finish
     flat, structure = jax.tree.flatten(prepared)
     sums = sum_samples(
-        *(_of_planes(stages.sample, structure), stages.samples, wanted[..., 0], flat),
-        *(leaves[plan.locals :], plan.grid, plan.backend),
+        _of_planes(stages.sample, structure),
+        stages.samples,
+        wanted[..., 0],
+        flat,
+        leaves[plan.locals :],
+        plan.grid,
+        plan.backend,
         stages.limit and _limit_of_planes(stages.limit, structure),
     )
     planes = [total[..., None] for total in sums]
@@ -252,8 +257,13 @@ def _prepared(plan: Plan, stages: Stages, leaves: Sequence[jax.Array]) -> tuple[
     planes = tuple(k for k, value in enumerate(prepared) if value.varies)
     everywhere = jnp.ones((grid.height, grid.width), bool)
     wanted, *found = sum_samples(
-        *(_one_sample(stages, planes, dtype.name), 1, everywhere),
-        *(leaves[: plan.locals], leaves[plan.locals :], grid, plan.backend),
+        _one_sample(stages, planes, dtype.name),
+        1,
+        everywhere,
+        leaves[: plan.locals],
+        leaves[plan.locals :],
+        grid,
+        plan.backend,
     )
     values: list[Any] = prepared
     if len(planes) < len(prepared):

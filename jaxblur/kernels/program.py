@@ -270,7 +270,9 @@ def sum_over(
                 f"{', '.join(str(one) for one in types)}."
             )
     sums = sum_primitive.bind(
-        *(*closed.consts, *conditions, *limits),
+        *closed.consts,
+        *conditions,
+        *limits,
         jaxpr=closed.jaxpr,
         count=count,
         limited=bool(limits),

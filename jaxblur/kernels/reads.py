@@ -29,7 +29,10 @@ def read_table(table: jax.Array, index: Array) -> Array:
         Values of the index's shape.
     """
     return lax.gather(
-        *(table, lax.expand_dims(index, (index.ndim,)), _ONE_ELEMENT, (1,)),
+        table,
+        lax.expand_dims(index, (index.ndim,)),
+        _ONE_ELEMENT,
+        (1,),
         mode=lax.GatherScatterMode.PROMISE_IN_BOUNDS,
     )
 

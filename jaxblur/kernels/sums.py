@@ -283,8 +283,15 @@ def _pulled(static: _Pull, operands: Sequence[jax.Array]) -> Any:
         return _pulled_by_scan(plan, active, operands[: len(leaves)], operands[len(leaves) :])
 
     native = native_pull(
-        *(plan.sample, plan.limit, plan.samples, leaves, plan.locals, active),
-        *([image.dtype for image in images], plan.grid, plan.backend),
+        plan.sample,
+        plan.limit,
+        plan.samples,
+        leaves,
+        plan.locals,
+        active,
+        [image.dtype for image in images],
+        plan.grid,
+        plan.backend,
     )
     if native is None:
         return by_xla(moving, *leaves, *images)

@@ -210,9 +210,16 @@ def _make_plan(chosen: _Candidate, statistics: FrameStatistics, why: str, more: 
     parameters = info.make_parameters(**chosen.record["parameters"])
     summary = f"{chosen.label}: {why}"
     return Plan(
-        *(info.name, settings, parameters, summary, f"{summary}; {more}"),
-        *(chosen.loss, chosen.spread),
-        *(chosen.jod_loss, chosen.jod_spread, chosen.milliseconds),
+        info.name,
+        settings,
+        parameters,
+        summary,
+        f"{summary}; {more}",
+        chosen.loss,
+        chosen.spread,
+        chosen.jod_loss,
+        chosen.jod_spread,
+        chosen.milliseconds,
     )
 
 

@@ -277,7 +277,10 @@ def _defocus(
     valid = jnp.ones_like(frame.depth) if frame.valid is None else frame.valid.astype(dtype)
     surface = Image(run(spread, images=Buffers(Image(frame.depth), Image(valid))))
     found = largest_in_tiles(
-        *(near_disc, (height, width), settings.radius, Surfaces(surface)),
+        near_disc,
+        (height, width),
+        settings.radius,
+        Surfaces(surface),
         settings=settings,
         backend=backend,
     )

@@ -134,7 +134,9 @@ def plan_jobs(
     return Plan(
         tuple(
             plan_frame(
-                *(frame, at_frame(sources, frame), [names.path(frame) for names in outputs]),
+                frame,
+                at_frame(sources, frame),
+                [names.path(frame) for names in outputs],
                 {**choices, "pass": frame in cuts},
                 overwrite=overwrite,
                 neighbors=_neighbors_of(frame, sources, cuts) if neighbors else {},

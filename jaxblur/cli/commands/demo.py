@@ -94,7 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     buffers = {"color": sharp, "depth": frame.depth, "velocity": frame.velocity, "path": frame.path}
     info = filter_info(name)
     html = page_of(
-        *([Entry(info, {}, info.settings), *others(info)], buffers, truth),
+        [Entry(info, {}, info.settings), *others(info)],
+        buffers,
+        truth,
         title=arguments.scene,
         shutter=SHUTTER,
     )

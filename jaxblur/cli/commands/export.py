@@ -23,7 +23,7 @@ LOG = logging.getLogger("jaxblur")
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = add_command(
-        *(commands, "export", "Write a filter as C, WGSL, GLSL or HLSL, with a test frame.", run)
+        commands, "export", "Write a filter as C, WGSL, GLSL or HLSL, with a test frame.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_filters
@@ -64,9 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_empty(folder, arguments.overwrite)
     info = find_filter(name)
     values = info.make_parameters(**parameters)
-    graph = graph_of(
-        *(info, values, settings), channels=arguments.channels, has_path=arguments.path
-    )
+    graph = graph_of(info, values, settings, channels=arguments.channels, has_path=arguments.path)
     if arguments.path and not any(buffer.name == "path" for buffer in graph.inputs):
         raise CommandError(f"--path: {name} does not read curved paths; leave it out.")
     for file in write_package(graph, arguments.language, folder, overwrite=arguments.overwrite):

@@ -354,7 +354,10 @@ def _read_pair(arguments: argparse.Namespace, named: Mapping[str, pathlib.Path])
     buffers = sources.read(argparse.Namespace(**vars(arguments) | dict(named)))
     image = in_window(
         exr.read_image(truth),
-        *(truth, exr.choose_color(exr.inspect(truth)).channels[0], frame, buffers.windows),
+        truth,
+        exr.choose_color(exr.inspect(truth)).channels[0],
+        frame,
+        buffers.windows,
         what="the truth",
     )
     return _cropped(arguments.crop, frame, buffers, image)

@@ -62,7 +62,7 @@ class Entry(NamedTuple):
 def add_parser(commands: Any) -> None:
     """Add the command."""
     parser = add_command(
-        *(commands, "play", "Make one HTML page that blurs a frame live, by any filter.", run)
+        commands, "play", "Make one HTML page that blurs a frame live, by any filter.", run
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.more_help = describe_filters
@@ -151,7 +151,8 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
     if buffers.valid is not None:
         LOG.warning(
             "%s: the page takes the %d ignored pixels as black; `jaxblur blur` leaves them out.",
-            *(arguments.input, np.count_nonzero(~buffers.valid)),
+            arguments.input,
+            np.count_nonzero(~buffers.valid),
         )
     # What the command line says holds for all filters that have the setting.
     common = [field.name for field in dataclasses.fields(Settings)]
@@ -169,7 +170,9 @@ def _page(arguments: argparse.Namespace, asked: Entry, buffers: Any) -> str:
         stored, colors = read_truth(arguments, buffers.windows, None)
         truth = _light(stored, colors)
     return page_of(
-        *([asked, *others(asked.info, given, arguments.filters)], frame, truth),
+        [asked, *others(asked.info, given, arguments.filters)],
+        frame,
+        truth,
         title=arguments.input.name,
         shutter=arguments.shutter,
         counts=arguments.sample_counts,

@@ -65,7 +65,8 @@ def add_parser(commands: Any) -> None:
         "same way, and makes those again whose inputs have changed",
     )
     parser.add_argument(
-        *("-F", "--frames"),
+        "-F",
+        "--frames",
         type=frame_numbers,
         metavar="A-B[xN]",
         help="of a sequence (default: all)",
@@ -235,7 +236,7 @@ def _jobs(arguments: argparse.Namespace) -> list[_Job]:
             names = views.names_of(here)
         files = files_of(here, outputs.path(number), names)
         plan = plan_frame(
-            *(number, inputs, files, choices), overwrite=arguments.overwrite, neighbors={}
+            number, inputs, files, choices, overwrite=arguments.overwrite, neighbors={}
         )
         found.append(_Job(here, plan, files))
     if all(job.missing() for job in found):
@@ -368,7 +369,10 @@ def _through_posts(picture: _View, depth: pathlib.Path) -> Any:
         channel = exr.choose_depth(exr.inspect(depth), **where, needed=True)
         distance = in_window(
             exr.read_depth(depth, arguments.depth or "z", **where),
-            *(depth, channel, arguments.input, picture.windows),
+            depth,
+            channel,
+            arguments.input,
+            picture.windows,
             what="the depth",
         )
     return posts.apply(arguments, color, distance, color.shape[2], picture.windows)

@@ -173,7 +173,10 @@ def _rank(arguments: argparse.Namespace) -> Any:
         now, following = (image[..., : min(colors)] for image in (now, following))
     try:
         return vectors.rank_conventions(
-            *(now, following, raw, names),
+            now,
+            following,
+            raw,
+            names,
             shutter=arguments.shutter,
             size=(height, width),
             max_displace=arguments.max_displace,

@@ -85,7 +85,10 @@ def make_plan(arguments: argparse.Namespace, asked: Choice) -> tuple[Any, Any]:
     choices = _choices(arguments, asked) | ({"neighbors": True} if neighbors else {})
     choices |= {"cryptomatte": True} if arguments.cryptomatte else {}
     plan = plan_jobs(
-        *(frames, sources, targets, choices),
+        frames,
+        sources,
+        targets,
+        choices,
         overwrite=arguments.overwrite,
         cuts=arguments.cut,
         neighbors=neighbors,
@@ -103,7 +106,9 @@ def _frames_of_all(arguments: argparse.Namespace, sources: Mapping[str, Any]) ->
         if isinstance(layer, FrameNames) and (more := {*layer.frames_on_disk()} - {*frames}):
             LOG.warning(
                 "%s: frames that it lacks are left out: %s, which %s has.",
-                *(own.pattern, frame_ranges(more), layer.pattern),
+                own.pattern,
+                frame_ranges(more),
+                layer.pattern,
             )
     return frames
 

@@ -80,7 +80,8 @@ def settle_convention(arguments: argparse.Namespace, sources: Mapping[str, Any])
     first = pairs[0]
     LOG.info(
         "vectors: what they mean does not show between frames %d and %d; check it with: %s",
-        *(*first.numbers, _check_of(arguments, first)),
+        *first.numbers,
+        _check_of(arguments, first),
     )
 
 
@@ -193,7 +194,10 @@ def _ranked(
             if left is not None and left < 1 - SURELY:
                 return None, left
         ranking = vectors.rank_conventions(
-            *(now, following, raw, channels),
+            now,
+            following,
+            raw,
+            channels,
             shutter=_span(arguments, known, now, following, raw, size),
             size=size,
             max_displace=arguments.max_displace,
@@ -298,7 +302,11 @@ def _compare(
         other = _reading(best)
     LOG.warning(
         "vectors: --preset %s is used as given, but they fit %s: %s, and %.4f by %s",
-        *(arguments.preset, other, why, left * still, arguments.preset),
+        arguments.preset,
+        other,
+        why,
+        left * still,
+        arguments.preset,
     )
 
 
@@ -322,7 +330,9 @@ def _warn_of_span(arguments: argparse.Namespace, best: Any, why: str) -> None:
     LOG.warning(
         "vectors: --file-shutter %g is used as given, but they fit --file-shutter %g: at that span "
         "%s",
-        *(arguments.file_shutter, best.span, why),
+        arguments.file_shutter,
+        best.span,
+        why,
     )
 
 

@@ -90,7 +90,10 @@ def print_outcome(arguments: argparse.Namespace, records: list[dict[str, Any]]) 
         LOG.warning(
             "frame %d: its vectors have a mean length of %.1f px, its neighbors' %.1f; if the "
             "camera cuts here, pass --cut %d to leave the frame unblurred.",
-            *(cut.frame, cut.speed, cut.usual, cut.frame),
+            cut.frame,
+            cut.speed,
+            cut.usual,
+            cut.frame,
         )
     if arguments.json:
         cut_frames = [dataclasses.asdict(cut) for cut in cuts]

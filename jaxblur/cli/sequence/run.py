@@ -188,7 +188,10 @@ class _Run:
             LOG.error(
                 "frame %d: has %dx%d pixels, most frames have %dx%d; render it again, or pass "
                 "--allow-resize.",
-                *(frame, width, height, *usual),
+                frame,
+                width,
+                height,
+                *usual,
             )
         return bool(others)
 

@@ -369,7 +369,11 @@ def known_colors(
     height, width = images.paths.values.shape[:2]
     kept = jnp.zeros((height, width, 1), images.color.values.dtype)
     return each_pixel(
-        *(program, (height, width), images, inputs, plan),
+        program,
+        (height, width),
+        images,
+        inputs,
+        plan,
         kept=kept,
         backend=plan.settings.backend,
     )

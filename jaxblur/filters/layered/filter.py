@@ -119,7 +119,11 @@ def _blur(
     images, inputs, plan = passes_before(settings, frame, parameters, noise, others)
     height, width = frame.depth.shape
     return each_pixel(
-        *(blur_pixel, (height, width), images, inputs, plan),
+        blur_pixel,
+        (height, width),
+        images,
+        inputs,
+        plan,
         kept=frame.color,
         backend=settings.backend,
     )
@@ -155,10 +159,14 @@ def _blur_through_lens(
         background.Plan(settings, maps, coding),
     )
     turns = Image(jnp.concatenate([noise.tap[..., None], noise.tile], axis=-1).astype(dtype))
-    images = views.Images(*(color, paths, owners, states, Image(found), turns, points, times))
+    images = views.Images(color, paths, owners, states, Image(found), turns, points, times)
     plan = Plan(settings, settings.samples, maps, coding)
     return each_pixel(
-        *(views.view_pixel, (height, width), images, Inputs(parameters, span), plan),
+        views.view_pixel,
+        (height, width),
+        images,
+        Inputs(parameters, span),
+        plan,
         kept=frame.color,
         backend=settings.backend,
     )

@@ -199,7 +199,12 @@ def owners_of(
     level = Image(drawing.coding.level(paths[..., 2]))
     images = Drawn(Image(paths), level, times, points)
     marks = largest_marks(
-        *(draw_pixel, (height, width), images, length, span, drawing),
+        draw_pixel,
+        (height, width),
+        images,
+        length,
+        span,
+        drawing,
         apart=maps.total,
         backend=settings.backend,
     )
@@ -260,7 +265,11 @@ def states_of(
     images = MapsRead(owners, Image(lax.stop_gradient(paths.values)))
     height, width = paths.values.shape[:2]
     return each_pixel(
-        *(state_of_pixel, (height, width), images, None, Drawing(maps, Coding.of(settings.radius))),
+        state_of_pixel,
+        (height, width),
+        images,
+        None,
+        Drawing(maps, Coding.of(settings.radius)),
         backend=settings.backend,
     )
 

@@ -137,6 +137,10 @@ def paths_of(
     motion = motion_of(frame, *limits, settings=settings)
     path = None if frame.path is None else Image(frame.path.reshape(height, width, 4))
     return each_pixel(
-        *(path_of_pixel, (height, width), Images(Image(motion), path), parameters, settings),
+        path_of_pixel,
+        (height, width),
+        Images(Image(motion), path),
+        parameters,
+        settings,
         backend=settings.backend,
     )

@@ -258,7 +258,11 @@ def motion_of(
         color = lax.stop_gradient(frame.guide)
     images = Buffers(Image(motion), Image(frame.depth), Image(color), valid)
     return each_pixel(
-        *(purest_motion, (height, width), images, Limits(separation, coverage), settings),
+        purest_motion,
+        (height, width),
+        images,
+        Limits(separation, coverage),
+        settings,
         backend=settings.backend,
     )
 

@@ -69,7 +69,7 @@ def view_pixel(at: At, images: Images, inputs: Inputs, plan: Plan) -> Outcome:
         own_point = point_of(images.points, index)
         assert own_point is not None
         owner = moving_owner(
-            *(at, images.owners, images.paths, index, own_time, plan.coding, own_point)
+            at, images.owners, images.paths, index, own_time, plan.coding, own_point
         )
         way = Path(*images.paths.read_texel(owner.texel))
         point = point_in_cell(own_point, (turn[0], turn[1]), i, plan.maps, parameters.jitter)

@@ -146,7 +146,7 @@ def _march(
     length = jnp.linalg.norm(ray, axis=0)
     world = Rays(eye, rotation @ ray / length, near * length, far * length)
     track = None if flow is None or times is None else tracker(flow, camera, time, times, size)
-    return march(*(lit.volume, medium, lights, world, size, marching), light=lit.light, track=track)
+    return march(lit.volume, medium, lights, world, size, marching, light=lit.light, track=track)
 
 
 def tracker(
